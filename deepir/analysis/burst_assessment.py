@@ -283,8 +283,11 @@ def report_lines(
 def _pattern_lines(statistics: PatternStatistics) -> list[str]:
     """Variance of the pattern, and the motion that separates it from the scene."""
     x, y = statistics.lengths
+    found = {name: getattr(statistics, name) for name in ("shading", "columns", "rows")}
+    found["pixels"] = 1 - sum(found.values())
+    shares = (f"{name} {100 * each:.0f} %" for name, each in found.items() if each >= MIN_REPORTED_SHARE)
     lines = [
-        f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {_shares(statistics)}"
+        f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {', '.join(shares)}"
     ]
     if max(x, y) == math.inf:
         lines.append(
@@ -330,13 +333,6 @@ def _burst_lines(assessment: BurstAssessment, scene_deviation: Array | None) -> 
             f"(over {UNCERTAIN_PIXEL_RATIO:g} times the median)"
         )
     return lines + (assessment.flags or ["this burst suffices"])
-
-
-def _shares(statistics: PatternStatistics) -> str:
-    found = {name: getattr(statistics, name) for name in ("shading", "columns", "rows")}
-    found["pixels"] = 1 - sum(found.values())
-    kept = {name: each for name, each in found.items() if each >= MIN_REPORTED_SHARE}
-    return ", ".join(f"{name} {100 * each:.0f} %" for name, each in kept.items())
 
 
 def _px(value: float) -> str:

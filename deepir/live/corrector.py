@@ -12,7 +12,7 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, Estimator, ProcessEstimator
 from deepir.live.recorder import LiveKeyframes
-from deepir.recording.pattern_shares import contains_pattern, removes_more
+from deepir.recording.pattern_gradients import contains_pattern, removes_more
 from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]
@@ -86,9 +86,8 @@ class Corrector:
     """
 
     def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
-        self._start = maps
         self._estimator = estimator or ProcessEstimator()
-        self.reset()
+        self.begin(maps)
 
     def __enter__(self) -> Corrector:
         return self

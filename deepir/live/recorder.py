@@ -22,10 +22,8 @@ from deepir.errors import DataError
 from deepir.io.output.recording import Write, output_type, tiff
 from deepir.recording.keyframes import (
     WINDOW,
-    Chosen,
     ChosenFrames,
     KeyframeCollector,
-    in_groups,
     motion_spacing,
 )
 
@@ -206,11 +204,11 @@ class LiveKeyframes:
         if small is None:
             return
         if self._before is not None:
-            self._steps.append(_change(small, self._before))
+            self._steps.append(float(np.abs(small - self._before).mean()))
         self._before = small
         self._pending.append((self.length - 1, frame, small))
-        if not self._newest or _change(small, self._newest[-1][2]) > MIN_CHANGE_RATIO * np.median(
-            self._steps
+        if not self._newest or (
+            np.abs(small - self._newest[-1][2]).mean() > MIN_CHANGE_RATIO * np.median(self._steps)
         ):
             self._taken += min(len(self._pending), MAX_NEWEST - len(self._newest))
             self._newest.extend(self._pending)
@@ -228,14 +226,7 @@ class LiveKeyframes:
         groups = self._groups.groups
         if self._groups.count < MIN_IN_GROUPS:
             first = self._newest[0][0]
-            groups = [group for group in groups if group[-1][0] < first] + in_groups(self._spaced())
+            spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
+            newest = [(number, frame, spacing) for number, frame, _ in self._newest]
+            groups = [*(group for group in groups if group[-1][0] < first), newest]
         return ChosenFrames.of_groups(groups, self.length)
-
-    def _spaced(self) -> list[Chosen]:
-        """The newest frames, with the spacing that their motion asks for."""
-        spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
-        return [(number, frame, spacing) for number, frame, _ in self._newest]
-
-
-def _change(one: Array, other: Array) -> float:
-    return float(np.abs(one - other).mean())

@@ -112,7 +112,11 @@ class CorrectionScorer:
             change = _change(frames, found)
             nats[found.first, found.second] += float(np.log1p((change / scale) ** 2).sum()) / CORRELATED
             spreads.append(_spread(change))
-        shared, count = self._detail_shared(gain, offset)
+        shared, count, most = 0.0, 0, EDGE_LIMIT * self.deviation
+        for pair, moved in self.moved.items():
+            one, other = (self._detail(gain, offset, k)[moved].clip(-most, most) for k in pair)
+            shared += float((one * other).sum())
+            count += int(moved.sum())
         detail = max(shared / count, 0.0) ** 0.5 if count else np.nan
         fine = shared / self.deviation**2 / CORRELATED_DETAIL / 2 if count else np.nan
         return ResidualPattern(float(np.mean(spreads)) / 2**0.5, np.array(list(nats.values())), detail, fine)
@@ -120,10 +124,8 @@ class CorrectionScorer:
     def _find_detail(self) -> None:
         """Where the scene of each pair has moved by more than its detail reaches, and the detail's deviation."""
         self.moved: dict[tuple[int, int], Array] = {}
-        if not self.independent:
-            return
         height, width = self.frames.shape[1:]
-        for each in self.found:
+        for each in self.found if self.independent else ():
             far = np.hypot(*each.vectors) * self.factor > DETAIL_REACH
             whole = np.zeros((height, width), bool)
             block = (far & each.known).repeat(self.factor, 0).repeat(self.factor, 1)
@@ -135,22 +137,12 @@ class CorrectionScorer:
         deviations = [
             min(_spread(self._detail(*way, k)) for way in self.ways) for pair in self.moved for k in pair
         ]
-        self.deviation = (
-            max(float(np.median(deviations)), float(np.finfo(np.float32).tiny)) if deviations else 1.0
-        )
+        typical = float(np.median(deviations)) if deviations else 1.0
+        self.deviation = max(typical, float(np.finfo(np.float32).tiny))
 
     def _detail(self, gain: Array, offset: Array, k: int) -> Array:
         corrected = (self.frames[k] - offset) / gain
         return np.asarray(corrected - ndimage.uniform_filter(corrected, DETAIL))
-
-    def _detail_shared(self, gain: Array, offset: Array) -> tuple[float, int]:
-        """Sum of products of the detail of two frames where the scene has moved, and their number."""
-        total, count, most = 0.0, 0, EDGE_LIMIT * self.deviation if self.moved else 0.0
-        for (first, second), moved in self.moved.items():
-            one, other = (self._detail(gain, offset, k)[moved].clip(-most, most) for k in (first, second))
-            total += float((one * other).sum())
-            count += int(moved.sum())
-        return total, count
 
 
 def _change(frames: Array, found: Displacement) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from scipy import ndimage
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
 from deepir.kernels.median_filter import median_filter
-from deepir.multiview.texture_flow import RADIUS, SHORT_SIDE, Displacement, displacements, sampled
+from deepir.multiview.texture_flow import RADIUS, Displacement, coarsening, displacements, enlarged, sampled
 
 Array = np.ndarray[Any, Any]
 
@@ -32,7 +31,9 @@ CELL, STEP = 5, 2
 #: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
 CORRELATED = len(GAPS) * ((2 * RADIUS + 1) / STEP) ** 2
 DEGREE = 2  # of the polynomial
-CHANGE_SIGMA = 0.5  # px of the averaged frames; Gaussian over which changes of brightness are averaged
+#: px of the averaged frames; Gaussian over which changes of brightness are averaged: errors of displacements at edges
+#: have both signs.
+CHANGE_SIGMA = 0.5
 #: Share of a frame in which the displacement to its neighbour is known: at least, and in that to mirrored frames.
 MIN_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
@@ -43,13 +44,13 @@ MIN_SCALE = 0.003
 MIN_SAMPLES = 50
 
 
-def low_order_part(pattern: Array, usable: Array, sigma: float = LOW_ORDER_SIGMA) -> Array:
+def low_order_part(pattern: Array, usable: Array) -> Array:
     """A plane and, of what it leaves of the usable pixels of a pattern (h, w), the Gaussian mean; mean zero."""
     rows, columns = np.indices(pattern.shape).astype(float) / max(pattern.shape)
     axes = np.stack((np.ones_like(rows), rows, columns), -1)
     plane = axes @ np.linalg.lstsq(axes[usable], pattern[usable], rcond=None)[0]
-    share = ndimage.gaussian_filter(usable.astype(float), sigma, mode="nearest")
-    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), sigma, mode="nearest")
+    share = ndimage.gaussian_filter(usable.astype(float), LOW_ORDER_SIGMA, mode="nearest")
+    mean = ndimage.gaussian_filter(np.where(usable, pattern - plane, 0.0), LOW_ORDER_SIGMA, mode="nearest")
     low_order = plane + mean / np.maximum(share, 1e-9)
     return np.asarray(low_order - low_order.mean())
 
@@ -61,71 +62,32 @@ def is_implausible(pattern: Array, usable: Array) -> bool:
     return fine > 0 and float(low_order_part(pattern, usable)[usable].std()) > MAX_RATIO * fine
 
 
-@dataclass(frozen=True)
-class LowOrderPattern:
-    """A low-order additive pattern.
-
-    Attributes:
-        offset: (h, w), mean zero.
-        related: whether neighbouring frames show the same things.
-        displacements: between frames averaged over blocks, of each pair and back.
-    """
-
-    offset: Array
-    related: bool
-    displacements: tuple[Displacement, ...]
-
-
-def low_order_pattern(
-    frames: Array,
-    usable: Array,
-    pairs: Sequence[tuple[int, int]] | None = None,
-    rounds: int = ROUNDS,
-    removed: Array | None = None,
-    change_sigma: float = CHANGE_SIGMA,
-    quantile: float = 0.5,
-) -> LowOrderPattern:
+def low_order_pattern(frames: Array, usable: Array) -> Array | None:
     """The low-order additive pattern that frames still hold.
 
     Args:
         frames: (N, h, w), in any order in which neighbours may show the same scene; fine pattern taken off.
         usable: (N, h, w) bool, which samples count.
-        pairs: numbers of frames that may show the same scene, nearest first; None: all that are `GAPS` apart.
-        rounds: times that displacements are sought.
-        removed: low-order part of the offset that was subtracted, (h, w). Some of it is the scenes', which would then
-            stand still in the frames: it is added back where displacements are sought.
-        change_sigma: px of the averaged frames; Gaussian over which changes of brightness are averaged: errors of
-            displacements at edges have both signs.
-        quantile: over pairs of neighbours, of the share of the frame whose displacement is known: whether frames are
-            related is judged by it.
 
     Returns:
-        The pattern in the frames' units; zero where the frames are not related.
+        The pattern (h, w), mean zero, in the frames' units; None where neighbouring frames do not show the same things.
     """
     factor = coarsening(frames.shape[1:])
     coarse = block_means(frames, usable, factor)
     contrast = max(float(np.median(coarse.std((1, 2)))), np.finfo(float).tiny)
     coarse /= contrast
-    if pairs is None:
-        pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
-    grid = _Grid(coarse.shape[1:], change_sigma)
-    total = np.zeros(coarse.shape[1:])
-    back = (
-        0.0
-        if removed is None
-        else block_means(removed[None], np.ones((1, *removed.shape), bool), factor)[0] / contrast
-    )
-    for round_ in range(rounds):
-        both = tuple(displacements(coarse + back - total, pairs, both_ways=True))
-        ahead = both[::2]
-        if round_ == 0 and not _related(coarse, ahead, quantile):
-            return LowOrderPattern(np.zeros(frames.shape[1:]), related=False, displacements=both)
-        total += grid.fitted(coarse - total, ahead)
-    offset = contrast * _enlarged(total, frames.shape[1:], factor)
-    return LowOrderPattern(offset - offset.mean(), related=True, displacements=both)
+    pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
+    grid, total = _Grid(coarse.shape[1:]), np.zeros(coarse.shape[1:])
+    for round_ in range(ROUNDS):
+        found = list(displacements(coarse - total, pairs))
+        if round_ == 0 and not _related(coarse, found):
+            return None
+        total += grid.fitted(coarse - total, found)
+    offset = contrast * enlarged(total, frames.shape[1:], factor)
+    return np.asarray(offset - offset.mean())
 
 
-def _related(frames: Array, found: Sequence[Displacement], quantile: float) -> bool:
+def _related(frames: Array, found: Sequence[Displacement]) -> bool:
     """Whether the displacements are known in far more places than those to mirrored frames, which are chance."""
     if not found:
         return False
@@ -133,23 +95,17 @@ def _related(frames: Array, found: Sequence[Displacement], quantile: float) -> b
     first = np.arange(count) * (len(frames) - 1) // count
     mirrored = np.concatenate([[frames[k], frames[k + 1][:, ::-1]] for k in first])
     by_chance = displacements(mirrored, [(2 * k, 2 * k + 1) for k in range(count)])
-    chance = float(np.quantile([each.share_moved for each in by_chance], quantile))
+    chance = float(np.quantile([each.share_moved for each in by_chance], 0.5))
     nearest = min(each.second - each.first for each in found)
     shares = [each.share_moved for each in found if each.second - each.first == nearest]
-    known = float(np.quantile(shares, quantile))
-    return known >= max(MIN_KNOWN, CHANCE_FACTOR * chance)
-
-
-def coarsening(size: Sequence[int]) -> int:
-    """Side of the blocks, px, over which frames of a size are averaged before displacements are sought."""
-    return max(1, min(size) // SHORT_SIDE)
+    return float(np.quantile(shares, 0.5)) >= max(MIN_KNOWN, CHANCE_FACTOR * chance)
 
 
 class _Grid:
     """Maps (h, w) that are a polynomial and a bilinear interpolation of nodes, both of prior deviation one."""
 
-    def __init__(self, size: tuple[int, ...], change_sigma: float) -> None:
-        self.size, self.change_sigma = size, change_sigma
+    def __init__(self, size: tuple[int, ...]) -> None:
+        self.size = size
         self.nodes = tuple(max(2, side // CELL) for side in size)
         orders = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i) if i + j]
         along = [np.polynomial.legendre.legvander(np.linspace(-1, 1, count), DEGREE) for count in self.nodes]
@@ -195,7 +151,7 @@ class _Grid:
             return None
         rows, columns = np.nonzero(some)
         y, x = found.y[some], found.x[some]
-        change = _change(frames, found, self.change_sigma)[some]
+        change = _change(frames, found)[some]
         nodes = self._weights(rows.astype(float), columns.astype(float)) - self._weights(y, x)
         return sp.hstack([nodes, nodes @ self.polynomials]).tocsr(), change
 
@@ -214,15 +170,9 @@ class _Grid:
         return sp.csr_matrix((np.concatenate(weights), (points, np.concatenate(indices))), shape=shape)
 
 
-def _change(frames: Array, found: Displacement, sigma: float) -> Array:
+def _change(frames: Array, found: Displacement) -> Array:
     """What brightness changes along a displacement, averaged over the known samples nearby, (h, w)."""
     change = frames[found.first] - sampled(frames[found.second], found.y, found.x)
-    known = ndimage.gaussian_filter(found.known.astype(float), sigma)
-    change = ndimage.gaussian_filter(np.where(found.known, change, 0.0), sigma)
+    known = ndimage.gaussian_filter(found.known.astype(float), CHANGE_SIGMA)
+    change = ndimage.gaussian_filter(np.where(found.known, change, 0.0), CHANGE_SIGMA)
     return np.asarray(change / np.maximum(known, np.finfo(float).tiny))
-
-
-def _enlarged(coarse: Array, size: Sequence[int], factor: int) -> Array:
-    """A map of block means at each px of `size`, bilinear about the blocks' centres."""
-    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
-    return sampled(coarse, *np.meshgrid(y, x, indexing="ij"))

@@ -18,10 +18,9 @@ from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 from deepir.kernels.block_means import block_means
-from deepir.multiview.coloured_pixels import ColouredPixels
-from deepir.multiview.gradients import AXES, Edges, WhiteParts, median_gradients
-from deepir.multiview.low_order_pattern import coarsening, is_implausible, low_order_part, low_order_pattern
-from deepir.multiview.texture_flow import TEXTURE_SIGMA, displacements
+from deepir.multiview.gradients import AXES, ColouredPixels, Edges, WhiteParts, median_gradients
+from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
+from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
 
 Array = np.ndarray[Any, Any]
 
@@ -159,8 +158,8 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     _, pattern, low_order = find_pattern(data, good, (), (Column(maps), Row(maps), Pixel(maps)))
     offset = pattern[1].numpy()
     moved = low_order_pattern(frames - offset, usable)
-    if moved.related:
-        offset = offset + moved.offset
+    if moved is not None:
+        offset = offset + moved
     else:
         shared = low_order.values[0, 0].detach().numpy()
         shrink_shading(low_order, data - pattern[1])
@@ -168,7 +167,7 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     known = np.asarray(usable.any(0))
     if is_implausible(offset, known):
         offset = offset - low_order_part(offset, known)
-    return offset - offset[known].mean(), moved.related
+    return offset - offset[known].mean(), moved is not None
 
 
 def isolated_offsets(frames: Tensor, usable: Tensor) -> Tensor:
@@ -254,10 +253,9 @@ class _Unknowns:
             if any(pair):
                 kind = WhiteParts if along else ColouredPixels
                 self.parts.append(kind(along, pair, edges.level, (height, width)))
-        self.shading = next((part for part in offset if isinstance(part, Shading)), None)
-        given = self.shading is not None and self.shading.sigma_is_fixed
+        given = [part for part in offset if isinstance(part, Shading) and part.sigma_is_fixed]
         free = Shading((1, 1, height, width), degree=DEGREE).to(edges.frames.device)
-        self.low_order = self.shading if self.shading is not None and given else free
+        self.low_order = given[0] if given else free
         deviation = float(edges.frames.flatten(1).std(1).median())
         self.unit = math.hypot(edges.level, deviation)  # counts that a gain of one is about
         free_by = edges.scales.new_tensor([[1.0 if gain else 0.0], [deviation]])  # of gain and level
@@ -300,12 +298,8 @@ class _Unknowns:
 
     def _smooth(self, edges: Edges) -> Tensor:
         """The inverse of the polynomials' block of the normal matrix, if all edges along an axis weighed the same."""
-        y, x, order_y, order_x = (
-            self.low_order.basis_y,
-            self.low_order.basis_x,
-            self.low_order.order_y,
-            self.low_order.order_x,
-        )
+        y, x = self.low_order.basis_y, self.low_order.basis_x
+        order_y, order_x = self.low_order.order_y, self.low_order.order_x
         steep = self.steep.flatten()
         block = torch.zeros(len(steep), len(steep)).to(steep)
         for sums, down, across in zip(edges.sums, (y, y.diff()), (x.diff(), x), strict=True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -35,41 +35,33 @@ MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are 
 BORDER = 2  # px from the border within which no displacement is trusted
 
 
-class Pyramid:
-    """A picture (h, w) at several resolutions, with gradients and structure tensors.
+Pyramid = list[
+    tuple[Array, Array, Array, float]
+]  # of each resolution texture, gradient, structure tensor, damping
 
-    Args:
-        picture: (h, w).
-        transform: what is registered of the picture at each resolution, same shape: its texture.
-    """
 
-    def __init__(self, picture: Array, transform: Callable[[Array], Array]) -> None:
-        level = np.ascontiguousarray(picture, np.float64)
-        self.levels: list[tuple[Array, Array, Array, float]] = []
-        for _ in range(LEVELS):
-            shown = transform(level)
-            gradient = np.stack(np.gradient(ndimage.gaussian_filter(shown, GRADIENT_SIGMA)))
-            self.levels.append((shown, gradient, *_structure_tensor(gradient)))
-            if min(level.shape) < 2 * MIN_SIDE:
-                break
-            level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
-
-    @property
-    def picture(self) -> Array:
-        """What is registered at the finest level, (h, w)."""
-        return self.levels[0][0]
+def texture_pyramid(frame: Array) -> Pyramid:
+    """The texture of a frame (h, w) at several resolutions, the finest first."""
+    level, levels = np.ascontiguousarray(frame, np.float64), []
+    for _ in range(LEVELS):
+        shown = texture(level)
+        gradient = np.stack(np.gradient(ndimage.gaussian_filter(shown, GRADIENT_SIGMA)))
+        levels.append((shown, gradient, *_structure_tensor(gradient)))
+        if min(level.shape) < 2 * MIN_SIDE:
+            break
+        level = ndimage.gaussian_filter(level, PYRAMID_SIGMA)[::2, ::2].copy()
+    return levels
 
 
 def optical_flow(first: Pyramid, second: Pyramid) -> Array:
     """Displacement (2, h, w), px down and across, at which `second` shows what `first` shows at each pixel."""
-    flow: Array | None = None
-    for (here, gradient, tensor, damping), (there, *_) in zip(
-        reversed(first.levels), reversed(second.levels), strict=True
-    ):
-        flow = np.zeros((2, *here.shape)) if flow is None else _enlarged(flow, here.shape)
+    flow = np.zeros((2, *first[-1][0].shape))
+    for (here, gradient, tensor, damping), (there, *_) in zip(first[::-1], second[::-1], strict=True):
+        if flow.shape[1:] != here.shape:
+            y, x = np.meshgrid(*(np.arange(side) / 2 for side in here.shape), indexing="ij")
+            flow = np.stack([2 * sampled(each, y, x) for each in flow])
         lucas_kanade(here, there, gradient, tensor, damping, RADIUS, ITERATIONS, flow)
         flow = np.stack([median_filter(each, MEDIAN_SIDE) for each in flow])
-    assert flow is not None
     return flow
 
 
@@ -79,6 +71,17 @@ def sampled(values: Array, y: Array, x: Array) -> Array:
     found = np.empty(rows.shape)
     sample_bilinear(np.asarray(values, np.float64), rows, columns, found)
     return found.reshape(np.shape(y))
+
+
+def enlarged(means: Array, size: Sequence[int], factor: int) -> Array:
+    """A map of means over blocks of `factor` px at each px of `size`, bilinear about the blocks' centres."""
+    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
+    return sampled(means, *np.meshgrid(y, x, indexing="ij"))
+
+
+def coarsening(size: Sequence[int]) -> int:
+    """Side of the blocks, px, over which frames of a size are averaged before displacements are sought."""
+    return max(1, min(size) // SHORT_SIDE)
 
 
 def _structure_tensor(gradient: Array) -> tuple[Array, float]:
@@ -91,15 +94,6 @@ def _structure_tensor(gradient: Array) -> tuple[Array, float]:
     tensor[0] += damping
     tensor[2] += damping
     return tensor, damping
-
-
-def _enlarged(flow: Array, shape: tuple[int, ...]) -> Array:
-    """A flow at twice the resolution: pixel (i, j) of the coarse grid is (2 i, 2 j) of the fine one."""
-    y, x = np.meshgrid(*(np.arange(side) / 2 for side in shape), indexing="ij")
-    return np.stack([2 * sampled(each, y, x) for each in flow])
-
-
-__all__ = ["RADIUS", "Displacement", "displacements", "sampled", "texture"]
 
 
 @dataclass(frozen=True)
@@ -130,21 +124,17 @@ class Displacement:
         return float((moved & self.known).mean())
 
 
-def displacements(
-    frames: Array, pairs: Sequence[tuple[int, int]], *, both_ways: bool = False
-) -> Iterator[Displacement]:
+def displacements(frames: Array, pairs: Sequence[tuple[int, int]]) -> Iterator[Displacement]:
     """Displacements between pairs of frames by the optical flow of their texture, forward and backward.
 
     Args:
         frames: (N, h, w) float64, finite, with little fixed pattern left.
         pairs: numbers of the first and the second frame.
-        both_ways: whether the displacement from the second frame to the first follows each.
     """
     wanted = sorted({k for pair in pairs for k in pair})
     with ThreadPoolExecutor(threads.count()) as pool:
-        textures = dict(zip(wanted, pool.map(lambda k: Pyramid(frames[k], texture), wanted), strict=True))
-        for found in pool.map(lambda pair: _displacements(pair[0], pair[1], textures), pairs):
-            yield from found if both_ways else found[:1]
+        textures = dict(zip(wanted, pool.map(lambda k: texture_pyramid(frames[k]), wanted), strict=True))
+        yield from pool.map(lambda pair: _displacement(pair, textures), pairs)
 
 
 def texture(frame: Array) -> Array:
@@ -155,18 +145,11 @@ def texture(frame: Array) -> Array:
     return np.asarray(even / max(even.std(), np.finfo(float).tiny))
 
 
-def _displacements(first: int, second: int, textures: dict[int, Pyramid]) -> list[Displacement]:
-    """From the first frame to the second, and back."""
-    here, there = textures[first], textures[second]
-    ahead, back = optical_flow(here, there), optical_flow(there, here)
-    return [
-        _trusted(first, second, ahead, back, here.picture, there.picture),
-        _trusted(second, first, back, ahead, there.picture, here.picture),
-    ]
-
-
-def _trusted(first: int, second: int, ahead: Array, back: Array, here: Array, there: Array) -> Displacement:
+def _displacement(pair: tuple[int, int], textures: dict[int, Pyramid]) -> Displacement:
     """A displacement, trusted where that back returns to the start and the local correlation is high."""
+    first, second = (textures[k] for k in pair)
+    ahead, back = optical_flow(first, second), optical_flow(second, first)
+    here, there = first[0][0], second[0][0]
     height, width = here.shape
     rows, columns = np.mgrid[:height, :width].astype(float)
     y, x = rows + ahead[0], columns + ahead[1]
@@ -179,4 +162,4 @@ def _trusted(first: int, second: int, ahead: Array, back: Array, here: Array, th
 
     energy = np.sqrt(local_mean(here**2) * local_mean(matched**2))
     is_correlated = local_mean(here * matched) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
-    return Displacement(first, second, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
+    return Displacement(*pair, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)

@@ -11,9 +11,8 @@ import torch
 from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
+from deepir.diagnostics.fit import doubtful_motion, residual_correlation_message, scene_in_pattern_message
 from deepir.diagnostics.frames import equalised_message
-from deepir.diagnostics.motion_evidence import doubtful_motion, scene_in_pattern_message
-from deepir.diagnostics.residual_correlation import residual_correlation_message
 from deepir.effects.frame_gain import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import pattern_cost_db

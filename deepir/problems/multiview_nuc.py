@@ -155,8 +155,8 @@ def _divide_low_order_part(
     rest = low_order.values[0, 0]
     moved = low_order_pattern((scenes - rest).double().cpu().numpy(), usable.cpu().numpy())
     messages: list[str] = []
-    if moved.related:
-        rest = rest + torch.from_numpy(moved.offset).to(rest)
+    if moved is not None:
+        rest = rest + torch.from_numpy(moved).to(rest)
     else:
         share = shrink_shading(low_order, scenes - rest)
         rest = low_order.values[0, 0]

@@ -2,10 +2,14 @@
 
 Under a fixed pattern every registration finds no motion. A first estimate of the pattern, from the gradients that all
 frames share, removes that bias, whatever the pattern's strength.
+
+Frames are compared on a canvas: the reference frame's grid, extended by what the other frames see beyond it. Cubic
+splines warp in both directions. Coordinates are px from the centre of a frame or of the canvas, x first.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +18,15 @@ import numpy as np
 from scipy import fft, ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
-from deepir.recording.canvas import Canvas, centred
+from deepir.kernels.bspline import warp
+from deepir.kernels.compile import parallel_for
 
 Array = np.ndarray[Any, Any]
 
+BORDER = (
+    3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
+)
+MIN_SEEN = 0.99  # of the spline's weight that lies on known canvas, so that a sample counts as predicted
 SHIFT_SIGMA = 6.0  # px; Gaussian whose mean is taken off before frames are correlated
 REFINE_SIGMA = 8.0  # px; the same before motion is refined: what is slower is left to the sensor's estimate
 MIN_OVERLAP = 0.3  # of the frames' windows, of a shift that is considered
@@ -25,6 +34,93 @@ PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to t
 MAX_STEPS, LAST_STEP = 3, 2e-3  # Gauss-Newton steps, at most; px, of the last one
 TURN = 3  # parameters of the motion of a camera that turns
 OUTLIER_SIGMAS = 2.0  # of residuals, scale of Cauchy's weights
+
+
+class Canvas:
+    """The warps between n frames (h, w) and their canvas (H, W).
+
+    Args:
+        motion: Homographies (n, 3, 3) from a point of each frame to the canvas.
+        size: (h, w) of the frames, px.
+
+    Attributes:
+        shape: (H, W) of the canvas, px.
+    """
+
+    def __init__(self, motion: Array, size: tuple[int, int]) -> None:
+        self.size = size
+        reach = np.ceil(np.abs(corners(motion, size)).max((0, 2))).astype(int) + BORDER
+        self.shape = int(2 * reach[0] + 1), int(2 * reach[1] + 1)
+        self.move(motion)
+
+    def move(self, motion: Array) -> None:
+        """Replace the motion; the canvas keeps its size."""
+        self.motion = motion
+        self._to_canvas = np.ascontiguousarray(motion, np.float32)
+        self._to_frames = np.ascontiguousarray(np.linalg.inv(motion), np.float32)
+
+    def predicted(self, scene: Array) -> Array:
+        """What frames (n, h, w) see of a scene (H, W)."""
+        return _warped(spline(scene)[None], self._to_canvas, self.size)
+
+    def spread(self, frames: Array) -> Array:
+        """Frames (n or 1, h, w) on the canvas, (n, H, W)."""
+        return _warped(np.stack([spline(each) for each in frames]), self._to_frames, self.shape)
+
+    def spread_weights(self, weights: Array) -> Array:
+        """Weights of samples (n, h, w) on the canvas, (n, H, W); zero outside the frames."""
+        inner = np.zeros_like(weights)
+        inside = np.s_[:, BORDER:-BORDER, BORDER:-BORDER]
+        inner[inside] = weights[inside]
+        return _warped(inner, self._to_frames, self.shape)
+
+    def mean(self, frames: Array, spread_weights: Array) -> Array:
+        """Weighted mean (H, W) of frames (n or 1, h, w) on the canvas; zero where no frame counts."""
+        return weighted_mean(self.spread(frames), spread_weights)
+
+    def is_seen(self, spread_weights: Array) -> Array:
+        """Samples (n, h, w) whose place on the canvas some frame shows, bool."""
+        known = (spread_weights.sum(0) > 0).astype(np.float32)
+        return np.asarray(_warped(known[None], self._to_canvas, self.size) > MIN_SEEN)
+
+
+def weighted_mean(values: Array, weights: Array) -> Array:
+    """Mean over the first axis; zero where all weights are zero."""
+    total = weights.sum(0)
+    return np.asarray((weights * values).sum(0) / np.maximum(total, np.finfo(np.float32).tiny))
+
+
+def project(motion: Array, y: Array, x: Array) -> tuple[Array, Array]:
+    """Where a homography (3, 3) takes points, rows and columns."""
+    depth = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2]
+    return (
+        (motion[1, 0] * x + motion[1, 1] * y + motion[1, 2]) / depth,
+        (motion[0, 0] * x + motion[0, 1] * y + motion[0, 2]) / depth,
+    )
+
+
+def centred(size: Sequence[int]) -> tuple[Array, Array]:
+    """Rows and columns of a grid (h, w), px from its centre."""
+    y, x = np.indices(tuple(size), float)
+    return y - (size[0] - 1) / 2, x - (size[1] - 1) / 2
+
+
+def spline(values: Array) -> Array:
+    """Coefficients of the cubic spline through samples (h, w), float32."""
+    return np.asarray(ndimage.spline_filter(values, 3, output=np.float32, mode="mirror"))
+
+
+def corners(motion: Array, size: Sequence[int]) -> Array:
+    """Rows and columns (n, 2, 4) to which motion (n, 3, 3) takes the corners of frames (h, w)."""
+    y, x = (each[:: size[0] - 1, :: size[1] - 1].ravel() for each in centred(size))
+    return np.stack([np.stack(project(each, y, x)) for each in motion])
+
+
+def _warped(coefficients: Array, motion: Array, shape: tuple[int, int]) -> Array:
+    out = np.empty((len(motion), 1, *shape), np.float32)
+    scene = np.ascontiguousarray(coefficients[:, None], np.float32)
+    parallel_for(warp, shape[0], scene, motion, out)
+    return out[:, 0]
 
 
 @dataclass(frozen=True)
@@ -39,10 +135,8 @@ class Spectrum:
     @classmethod
     def of(cls, frame: Array) -> Spectrum:
         """Of a frame (h, w), less its low-order part."""
-        padded = (
-            fft.next_fast_len(int(PADDING * frame.shape[0])),
-            fft.next_fast_len(int(PADDING * frame.shape[1])),
-        )
+        height, width = frame.shape
+        padded = fft.next_fast_len(int(PADDING * height)), fft.next_fast_len(int(PADDING * width))
         window = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in frame.shape))).astype(np.float32)
         detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
         shown, square, whole = (
@@ -156,11 +250,9 @@ def refined_motion(
         free: parameters: 3 for a turn of the camera, 8 for a homography.
         curvature: of a turn, see `turned`.
     """
-    detail = np.stack([each - ndimage.gaussian_filter(each, REFINE_SIGMA) for each in frames])
+    detail = frames - ndimage.gaussian_filter(frames, (0, REFINE_SIGMA, REFINE_SIGMA))
     scene = canvas.mean(detail, spread_weights)
-    motion, around = canvas.motion.copy(), Canvas.__new__(Canvas)
-    around.size, around.shape = canvas.size, canvas.shape
-    around.move(motion)
+    motion, around = canvas.motion.copy(), copy.copy(canvas)
     y, x = (each.ravel() / (max(canvas.size) / 2) for each in centred(canvas.size))
     gradient = np.gradient(scene)
     for _ in range(MAX_STEPS):

@@ -1,4 +1,4 @@
-"""The frames of one scene in the solve for their sensor: their motion, levels, gains, weights, and what they tell."""
+"""The frames of a recording that show one scene: their motion, levels, gains, weights, and what they tell."""
 
 from __future__ import annotations
 
@@ -10,10 +10,30 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.arrays.statistics import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA
-from deepir.recording.alignment import motion_gradients, refined_motion
-from deepir.recording.canvas import Canvas, centred, project
-from deepir.recording.low_order import LowOrderModes, NormalEquations, block_sums, low_order_equations
-from deepir.recording.offset_prior import dct, group_power, mode_radius
+from deepir.errors import DataError
+from deepir.recording.alignment import (
+    REFINE_SIGMA,
+    TURN,
+    Canvas,
+    Links,
+    Spectrum,
+    centred,
+    corners,
+    motion_gradients,
+    project,
+    refined_motion,
+)
+from deepir.recording.defective_pixels import noise_deviation
+from deepir.recording.modes import (
+    LowOrderModes,
+    NormalEquations,
+    block_sums,
+    dct,
+    group_power,
+    low_order_equations,
+    mode_radius,
+)
+from deepir.recording.pattern_gradients import shared_pattern
 
 Array = np.ndarray[Any, Any]
 
@@ -28,7 +48,29 @@ COMMON_SHARE = 0.15
 STEEP = 0.9  # quantile of the scene's slope, from which samples tell the error of the motion
 #: px, standard deviation of the shifts along an axis, from which they tell what varies along it.
 MIN_MOTION = 0.1
-SAMPLE_STRIDE = 2  # px, of the samples that the noise is measured in
+NOISE_STRIDE = 2  # px, of the samples that the noise is measured in
+CANDIDATES = 48  # frames that are registered to a reference, at most
+FRAMES = 24  # of a burst, at most
+MIN_LIKENESS = 0.4  # correlation with the frames that it is registered to, of a frame that is used
+MAX_REACH = 0.5  # of the sides: how far a frame of a burst is from the reference
+#: Squared tangents of half a camera's field of view that are tried, from a telephoto lens to 80 degrees.
+CURVATURES = (0.0, 0.06, 0.12, 0.2, 0.35, 0.7)
+#: Upper quartile of the changes between two frames, in sigmas of the noise of a change, below which nothing has moved:
+#: 1.15 for noise alone.
+REST_SIGMAS = 1.2
+CHANGE_STRIDE = 3  # px, between samples that are compared
+TRIAL_FRAMES = 8  # of a burst, that curvatures are tried on
+MIN_FRAMES = 4  # of a burst
+MIN_STEP = 0.5  # px: frames that moved by less since another one add nothing but an average
+AT_REST = (
+    "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
+    "pattern cannot be separated. Move the camera over something with edges, or apply maps of another recording: "
+    "deepir apply MAPS FILE"
+)
+
+
+class CameraAtRestError(DataError):
+    """The camera stands still."""
 
 
 class Burst:
@@ -63,6 +105,22 @@ class Burst:
         self.level_variances: Sequence[float] = ()
         self.common_error = np.zeros(self.canvas.size)
 
+    def enlarged(self, frames: Array, usable: Array, factor: int) -> Burst:
+        """The burst of the frames (n, h, w) that this one has means of, over blocks of `factor` px."""
+        down, across = ((factor * (side // factor) - side) / 2 for side in frames.shape[1:])
+        scale = np.array([[factor, 0, across], [0, factor, down], [0, 0, 1.0]])
+        motion = scale @ self.canvas.motion @ np.linalg.inv(scale)
+        whole = Burst(
+            frames,
+            usable,
+            motion,
+            self.reference,
+            curvature=self.curvature,
+            gains_differ=self.gains_differ,
+        )
+        whole.levels, whole.gains = self.levels, self.gains
+        return whole
+
     def corrected(self, offset: Array, gain: Array) -> Array:
         """Frames (n, h, w) without pattern and level."""
         levels, gains = (np.asarray(each, np.float32)[:, None, None] for each in (self.levels, self.gains))
@@ -85,7 +143,7 @@ class Burst:
         scene = self.canvas.mean(frames, self.spread_weights)
         rest = frames - self.canvas.predicted(scene)
         seen = self.usable * self.canvas.is_seen(self.spread_weights)
-        some = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
+        some = np.s_[:, ::NOISE_STRIDE, ::NOISE_STRIDE]
         counted = np.abs(rest[some][seen[some] > 0])
         self.noise = max(MAD_TO_SIGMA * float(np.median(counted)) if counted.size else 0.0, 1e-6)
         down, across = (self.canvas.predicted(each) for each in np.gradient(scene))
@@ -177,3 +235,110 @@ def phase_change(motion: Array, size: Sequence[int]) -> Array:
                 for phase in (of_rows, np.conj(of_rows))
             ]
     return np.asarray(np.maximum(1 - np.mean(same, 0), 1e-6))
+
+
+def _frames_alike(frames: Array, around: int, pattern: Array) -> tuple[Array, Array, Links] | None:
+    """Frames (N, h, w) that show what the one of number `around` does, less a pattern; None where too few do.
+
+    Returns:
+        The numbers of the frames that are compared, the places of the chosen ones among these, and the links of all.
+
+    Raises:
+        CameraAtRestError: Most frames show the same at the same place.
+    """
+    step = -(-len(frames) // CANDIDATES)
+    numbers, size = np.arange(around % step, len(frames), step), frames.shape[1:]
+    reference = around // step
+    links = Links.of([Spectrum.of(frames[k] - pattern) for k in numbers], reference)
+    motion = links.motion(0.0, max(size) / 2)
+    stays = _stays(frames[numbers], reference, noise_deviation(frames - pattern))
+    if stays.mean() > 0.5:
+        raise CameraAtRestError(AT_REST)
+    motion[stays] = np.eye(3)
+    near = (np.abs(motion[:, :2, 2]) < MAX_REACH * np.array(size[::-1])).all(1)
+    alike = (links.likeness >= MIN_LIKENESS) & near
+    chosen = _apart(motion, alike, reference, size)
+    if len(chosen) >= MIN_FRAMES:
+        return numbers, chosen, links
+    if alike.sum() >= max(MIN_FRAMES, len(numbers) / 2):
+        raise CameraAtRestError(AT_REST)
+    return None
+
+
+def find_burst(
+    frames: Array, usable: Array, around: int, start: Array, *, gains_differ: bool
+) -> tuple[Burst, Array, Array] | None:
+    """Frames that show the scene of a reference, as far apart as they are; None where too few do.
+
+    Args:
+        frames: (N, h, w), float32.
+        usable: same shape, bool.
+        around: number of the reference.
+        start: (h, w), a pattern that is taken off before frames are compared.
+        gains_differ: whether an automatic gain control may change the frames' gains.
+
+    Returns:
+        The burst, the numbers of its frames, and the pattern (h, w) that they share.
+
+    Raises:
+        CameraAtRestError: Most frames show the same at the same place.
+    """
+    first = _frames_alike(frames, around, start.astype(np.float32))
+    if first is None:
+        return None
+    numbers, chosen, _ = first
+    pattern = shared_pattern(frames[numbers[chosen]], usable[numbers[chosen]])
+    numbers, chosen, links = _frames_alike(frames, around, pattern) or first
+    kept, half = numbers[chosen], max(frames.shape[1:]) / 2
+    reference = int(np.searchsorted(kept, around))
+    few = np.unique(np.append(np.arange(0, len(kept), -(-len(kept) // TRIAL_FRAMES)), reference))
+    known, detail = usable[kept[few]].astype(np.float32), frames[kept[few]] - pattern
+    place = int(np.searchsorted(few, reference))
+    trials = [
+        _misfit(detail, known, links.motion(each, half)[chosen][few], place, each) for each in CURVATURES
+    ]
+    curvature = CURVATURES[int(np.argmin(trials))]
+    motion = links.motion(curvature, half)[chosen]
+    burst = Burst(
+        frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ
+    )
+    return burst, kept, pattern
+
+
+def _stays(frames: Array, reference: int, noise: float) -> Array:
+    """Whether each frame (n, h, w) differs from a reference by little but noise and level, (n,) bool."""
+    change = (frames - frames[reference])[:, ::CHANGE_STRIDE, ::CHANGE_STRIDE].reshape(len(frames), -1)
+    change = np.abs(change - np.median(change, axis=1, keepdims=True))
+    return np.asarray(np.quantile(change, 0.75, axis=1) < REST_SIGMAS * 2**0.5 * noise)
+
+
+def _misfit(frames: Array, known: Array, motion: Array, reference: int, curvature: float) -> float:
+    """Mean misfit of frames to their mean scene, once their motion is refined; inf where that is far off."""
+    size = (frames.shape[1], frames.shape[2])
+    if not _is_near(motion, size):
+        return np.inf
+    canvas = Canvas(motion, size)
+    spread = canvas.spread_weights(known)
+    canvas.move(refined_motion(canvas, frames, known, spread, reference, TURN, curvature))
+    if not _is_near(canvas.motion, size):
+        return np.inf
+    weights = canvas.spread_weights(known)
+    detail = frames - ndimage.gaussian_filter(frames, (0, REFINE_SIGMA, REFINE_SIGMA))
+    rest = detail - canvas.predicted(canvas.mean(detail, weights))
+    return float(np.abs(rest)[canvas.is_seen(weights) & (known > 0)].mean())
+
+
+def _is_near(motion: Array, size: tuple[int, int]) -> bool:
+    """Whether all corners of all frames lie within a side of the reference frame."""
+    return bool((np.abs(corners(motion, size)).max((0, 2)) < 1.5 * np.array(size)).all())
+
+
+def _apart(motion: Array, allowed: Array, reference: int, size: tuple[int, ...]) -> Array:
+    """Frames whose motion is far from each other's, the reference first; sorted numbers."""
+    places = corners(motion, size).reshape(len(motion), -1) / 2
+    chosen = [reference]
+    distance = np.where(allowed, np.linalg.norm(places - places[reference], axis=1), 0.0)
+    while len(chosen) < FRAMES and distance.max() > MIN_STEP:
+        chosen.append(int(distance.argmax()))
+        distance = np.minimum(distance, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    return np.sort(chosen)

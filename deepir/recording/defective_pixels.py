@@ -54,11 +54,6 @@ def defective_pixels(frames: Array, expected: Array, rounding: float = 0.0) -> A
     return np.asarray((gain.sum(0) > CLEAR) | (deviation > NOISE_RATIO * usual))
 
 
-def some_frames(frames: Array) -> Array:
-    """As many of the frames as are looked at."""
-    return frames[:: max(1, len(frames) // FRAMES)]
-
-
 def of_neighbours(frames: Array) -> Array:
     """Median of each sample and its neighbours, (N, h, w)."""
     return np.stack([median_filter(frame, 3) for frame in frames])

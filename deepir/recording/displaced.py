@@ -13,16 +13,21 @@ import numpy as np
 from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
-from deepir.multiview.texture_flow import Displacement, displacements, sampled
+from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
 from deepir.recording.defective_pixels import noise_deviation
 from deepir.recording.joint_solve import LowOrderSystem, low_order_step
-from deepir.recording.low_order import (
+from deepir.recording.keyframes import spread
+from deepir.recording.modes import (
     LowOrderModes,
     NormalEquations,
+    PatternPrior,
     block_sums,
+    dct,
+    idct,
     low_order_equations,
+    mode_radius,
+    shared_share,
 )
-from deepir.recording.offset_prior import PatternPrior, dct, idct, mode_radius, shared_share
 
 Array = np.ndarray[Any, Any]
 
@@ -104,7 +109,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
     """
     size = frames.shape[1:]
     modes = LowOrderModes(size, RADIUS, slopes=False)
-    prior = PatternPrior.of_finest(dct(start.astype(float)))
+    prior = PatternPrior(dct(start.astype(float)))
     offset = start.astype(float)
     for _ in range(ROUNDS):
         rest = (frames - offset).astype(float)
@@ -121,25 +126,15 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
 
 
 def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[LowOrderSystem]:
-    able = [k for k, others in enumerate(neighbours) if others]
-    references = [
-        able[i] for i in np.unique(np.linspace(0, len(able) - 1, min(REFERENCES, len(able))).astype(int))
-    ]
-    pairs = [
-        (k, neighbours[k][i])
-        for k in references
-        for i in np.unique(
-            np.linspace(0, len(neighbours[k]) - 1, min(NEIGHBOURS, len(neighbours[k]))).astype(int)
-        )
-    ]
+    references = spread([k for k, others in enumerate(neighbours) if others], REFERENCES)
+    pairs = [(k, other) for k in references for other in spread(neighbours[k], NEIGHBOURS)]
     noise = noise_deviation(frames.astype(np.float32))
     found = [each for each in displacements(frames, pairs) if each.known.mean() > MIN_KNOWN]
-    sets: list[LowOrderSystem] = []
-    for k in references:
-        mine = [each for each in found if each.first == k]
-        if mine:
-            sets.append(DisplacedFrames(frames[[k, *(each.second for each in mine)]], mine, noise))
-    return sets
+    return [
+        DisplacedFrames(frames[[k, *(each.second for each in mine)]], mine, noise)
+        for k in references
+        if (mine := [each for each in found if each.first == k])
+    ]
 
 
 def fine_part(one: Array, other: Array) -> Array:
@@ -159,8 +154,8 @@ def _stationary(offset: Array) -> Array:
     rows = np.median(offset - columns, axis=1, keepdims=True)
     pixels = offset - columns - rows
     block = min(BLOCK, *offset.shape)
-    height, width = (side // block * block for side in offset.shape)
-    blocks = np.abs(pixels[:height, :width]).reshape(height // block, block, width // block, block)
+    height, width = (side // block for side in offset.shape)
+    blocks = np.abs(pixels[: height * block, : width * block]).reshape(height, block, width, block)
     strength = np.median(blocks, axis=(1, 3))
     share = np.minimum(1, (MAX_UNEVENNESS * np.median(strength) / np.maximum(strength, 1e-30)) ** 2)
     return np.asarray(columns + rows + pixels * enlarged(share, offset.shape, block))
@@ -169,9 +164,3 @@ def _stationary(offset: Array) -> Array:
 def low_order_part(pattern: Array) -> Array:
     """What a pattern (h, w) has beside a fine part."""
     return idct(np.where(mode_radius(pattern.shape) < RADIUS, dct(pattern.astype(float)), 0.0))
-
-
-def enlarged(means: Array, size: Sequence[int], factor: int) -> Array:
-    """A map of means over blocks of `factor` px at each px of `size`, bilinear about the blocks' centres."""
-    y, x = ((np.arange(side) + 0.5) / factor - 0.5 for side in size)
-    return sampled(means, *np.meshgrid(y, x, indexing="ij"))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,29 +20,23 @@ from deepir.errors import DataError
 from deepir.io.inspection.samples import saturated_samples
 from deepir.kernels.block_means import block_means
 from deepir.messages import Message
-from deepir.recording.bursts import (
-    AT_REST,
-    Burst,
-    CameraAtRestError,
-    burst_motion,
-    find_burst,
-    shared_pattern,
-)
+from deepir.multiview.texture_flow import coarsening, enlarged
+from deepir.recording.burst import AT_REST, CameraAtRestError, find_burst
 from deepir.recording.defective_pixels import (
+    FRAMES,
     defective_pixels,
     noise_deviation,
     of_neighbours,
     rounding_deviation,
-    some_frames,
 )
-from deepir.recording.displaced import enlarged, fine_part, low_order_part, solve_low_order
+from deepir.recording.displaced import fine_part, low_order_part, solve_low_order
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes
+from deepir.recording.pattern_gradients import shared_pattern
 
 Array = np.ndarray[Any, Any]
 
 MIN_KEYFRAMES = 4
-SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least, before they are registered
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: px, error of the motion from which frames do not register as a whole: 0.05 to 0.25 hand-held, 0.3 to 2.5 where the
@@ -107,21 +101,17 @@ class _Samples:
                 f"{len(frames)} of {keyframes.length} frame(s) show anything new, too few. "
                 "Record for some seconds while the camera moves"
             )
-        low, high = _limits(frames)
-        usable = (frames > low) & (frames < high)
+        usable = _unsaturated(frames)
         thin = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
         level = float(np.median(frames[thin][usable[thin]])) if usable[thin].any() else 0.0
         frames = np.where(usable, frames, np.float32(level)) - np.float32(level)
-        middle = len(frames) // 2
-        halves = (
-            shared_pattern(frames[:middle], usable[:middle]),
-            shared_pattern(frames[middle:], usable[middle:]),
-        )
-        pattern = (halves[0] + halves[1]) / 2
+        early, late = np.s_[: len(frames) // 2], np.s_[len(frames) // 2 :]
+        halves = shared_pattern(frames[early], usable[early]), shared_pattern(frames[late], usable[late])
         rounding = rounding_deviation(keyframes.frames[0])
-        some = some_frames(frames) - pattern
+        few = np.s_[:: max(1, len(frames) // FRAMES)]
+        some = frames[few] - (halves[0] + halves[1]) / 2
         around = of_neighbours(some)
-        bad = defective_pixels(np.where(some_frames(usable), some, around), around, rounding) | ~usable.any(0)
+        bad = defective_pixels(np.where(usable[few], some, around), around, rounding) | ~usable.any(0)
         return cls(frames, usable, halves, bad, level, rounding)
 
     @property
@@ -162,23 +152,9 @@ def estimate_sensor(
         DataError: There are few frames, or the camera stands still.
     """
     samples = _Samples.of(keyframes)
-    found = _registered(samples, gains_differ=keyframes.eight_bits)
+    found = _of_registered(samples, keyframes, jumps)
     if found is not None:
-        solution, numbers = found.solution, found.numbers
-        _, expected = found.burst.compared(solution.offset, solution.gain)
-        found.burst.frames = found.recorded  # with what bad pixels show
-        shown = found.burst.corrected(solution.offset, solution.gain)
-        shown = np.where(samples.usable[numbers], shown, expected)
-        places = keyframes.numbers[numbers]
-        return _estimate(
-            samples,
-            solution,
-            "gain and offset",
-            _one_way(found.burst.tells),
-            (shown, expected),
-            None if found.gains is None else (places, found.gains),
-            tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
-        )
+        return found
     _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
     return replace(_of_displaced(samples, keyframes, former), jumps=tuple(jumps))
 
@@ -194,23 +170,14 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), "fine offset")
 
 
-class _Registered(NamedTuple):
-    """The sensor by frames that register, these, their numbers, and gains of a gain control."""
-
-    solution: SensorSolution
-    burst: Burst
-    numbers: Array
-    gains: Array | None
-    recorded: Array  # as `burst.frames`, bad pixels as they are
-
-
-def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
+def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]) -> SensorEstimate | None:
     """The sensor by frames that register; None where too few do, or do not fit."""
-    frames, usable = samples.filled, samples.known
+    frames, usable, recorded = samples.filled, samples.known, samples.frames
+    gains_differ, size = keyframes.eight_bits, frames.shape[1:]
     if gains_differ:
         contrasts = _contrasts(frames)
-        frames = frames / contrasts[:, None, None]
-    factor = max(1, min(frames.shape[1:]) // SHORT_SIDE)
+        frames, recorded = (each / contrasts[:, None, None] for each in (frames, recorded))
+    factor = coarsening(size)
     small, known = _averaged(frames, usable, factor)
     start = _averaged(shared_pattern(frames, usable)[None], ~samples.bad[None], factor)[0][0]
     found = find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ)
@@ -220,23 +187,25 @@ def _registered(samples: _Samples, *, gains_differ: bool) -> _Registered | None:
     solution = solve_sensor([burst], shared)
     if solution.motion_error > MAX_MOTION_ERROR:
         return None
-    if factor == 1:
-        full = burst
-    else:
-        motion = burst_motion(burst.canvas.motion, factor, frames.shape[1:])
-        shown, seen = frames[numbers], usable[numbers]
-        full = Burst(
-            shown, seen, motion, burst.reference, curvature=burst.curvature, gains_differ=gains_differ
-        )
-        full.levels, full.gains = burst.levels, burst.gains
-        shared = shared_pattern(shown, seen)
-        mean, variance = (enlarged(each, frames.shape[1:], factor) for each in solution.low_order)
-        solution = solve_sensor([full], shared, (mean, variance))
-    recorded = samples.frames[numbers]
-    if not gains_differ:
-        return _Registered(solution, full, numbers, None, recorded)
-    scale = contrasts[numbers]
-    return _Registered(solution, full, numbers, full.gains * scale, recorded / scale[:, None, None])
+    if factor > 1:
+        burst = burst.enlarged(frames[numbers], usable[numbers], factor)
+        mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
+        shared = shared_pattern(frames[numbers], usable[numbers])
+        solution = solve_sensor([burst], shared, (mean, variance))
+    _, expected = burst.compared(solution.offset, solution.gain)
+    burst.frames = recorded[numbers]  # with what bad pixels show
+    shown = burst.corrected(solution.offset, solution.gain)
+    shown = np.where(samples.usable[numbers], shown, expected)
+    places = keyframes.numbers[numbers]
+    return _estimate(
+        samples,
+        solution,
+        "gain and offset",
+        _one_way(burst.tells),
+        (shown, expected),
+        (places, burst.gains * contrasts[numbers]) if gains_differ else None,
+        tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
+    )
 
 
 def _contrasts(frames: Array) -> Array:
@@ -248,7 +217,7 @@ def _contrasts(frames: Array) -> Array:
 def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None) -> SensorEstimate:
     """The sensor of a camera that moves among near things."""
     size = samples.frames.shape[1:]
-    factor = max(1, min(size) // SHORT_SIDE)
+    factor = coarsening(size)
     small, _ = _averaged(samples.frames, samples.known, factor)
     offset = fine_part(*samples.halves)
     whole = offset + low_order_part(samples.pattern)
@@ -332,14 +301,14 @@ def _one_way(tells: Array) -> tuple[str, ...]:
     return ()
 
 
-def _limits(frames: Array) -> tuple[float, float]:
-    """Values at or beyond which samples are saturated."""
+def _unsaturated(frames: Array) -> Array:
+    """Samples (N, h, w) between the values at which some are saturated."""
     some = frames[:: max(1, len(frames) // FRAMES_OF_LIMITS)]
     ends = saturated_samples(some)
     if ends is None:
-        return -np.inf, np.inf
-    above, below = some[ends > 0], some[ends < 0]
-    return below.max(initial=-np.inf), above.min(initial=np.inf)
+        return np.isfinite(frames)
+    low, high = some[ends < 0].max(initial=-np.inf), some[ends > 0].min(initial=np.inf)
+    return np.asarray((frames > low) & (frames < high))
 
 
 def _demand_motion(frames: Array, pattern: Array, pairs: Sequence[tuple[int, int]]) -> None:

@@ -2,7 +2,7 @@
 
     frame_k = a_k (gain * scene(motion_k) + offset + level_k) + noise
 
-Each round refines the motion, solves the low-order part exactly (`low_order`), and the rest of the offset by conjugate
+Each round refines the motion, solves the low-order part exactly (`modes`), and the rest of the offset by conjugate
 gradients, in which the scene is eliminated. The strengths of all parts are set by expectation maximisation. A part that
 the motion does not determine stays at its prior mean, zero.
 """
@@ -18,8 +18,7 @@ from scipy import linalg
 
 from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
 from deepir.recording.burst import SHIFT_ERROR, Burst
-from deepir.recording.low_order import LowOrderModes, NormalEquations
-from deepir.recording.offset_prior import PatternPrior, dct, idct
+from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, idct
 
 Array = np.ndarray[Any, Any]
 
@@ -91,7 +90,7 @@ def solve_sensor(
     """
     size = bursts[0].frames.shape[1:]
     modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
-    prior = PatternPrior.of_finest(dct(start))
+    prior = PatternPrior(dct(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low
@@ -109,7 +108,7 @@ def solve_sensor(
         information, trusted = _information(bursts, size)
         offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
-        prior.update(dct(offset), posterior, fine)
+        prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
     if not low_order:

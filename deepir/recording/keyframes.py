@@ -42,7 +42,6 @@ class Keyframes:
     Attributes:
         frames: (N, h, w), float32.
         numbers: of the frames in the recording, (N,), increasing.
-        groups: of each frame the number of its group, (N,).
         spacings: frames to the next that shows the same things well displaced, of each, (N,).
         length: frames of the recording.
         eight_bits: the frames have 8 bits, as after an automatic gain control.
@@ -50,14 +49,13 @@ class Keyframes:
 
     frames: Array
     numbers: Array
-    groups: Array
     spacings: Array
     length: int
     eight_bits: bool
 
     def subset(self, selection: Array) -> Keyframes:
         """The keyframes at these indices, or where a mask (N,) is True."""
-        parts = ("frames", "numbers", "groups", "spacings")
+        parts = ("frames", "numbers", "spacings")
         return replace(self, **{name: getattr(self, name)[selection] for name in parts})
 
     def moving(self) -> Keyframes:
@@ -100,16 +98,11 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
         shown = [k for k in range(len(head)) if k == 0 or not np.array_equal(head[k], head[k - 1])]
         spacing, _ = motion_spacing(np.stack([coarse(head[k]) for k in shown[:WINDOW]]))
         kept = [(k, head[k], spacing) for k in shown]
-        return ChosenFrames.of_groups(in_groups(kept), len(head)).copied()
+        return ChosenFrames.of_groups([kept], len(head)).copied()
     collector = KeyframeCollector()
     for frame in chain(head, stream):
         collector.add(frame)
     return ChosenFrames.of_groups(collector.groups, collector.length).copied()
-
-
-def in_groups(kept: list[Chosen]) -> list[list[Chosen]]:
-    """Frames one after the other, in groups."""
-    return [kept[k : k + GROUP_SIZE] for k in range(0, len(kept), GROUP_SIZE)]
 
 
 @dataclass(frozen=True)
@@ -118,23 +111,19 @@ class ChosenFrames:
 
     Attributes:
         frames: (h, w) each, as they came.
-        numbers, groups, spacings, length: as in `Keyframes`.
+        numbers, spacings, length: as in `Keyframes`.
     """
 
     frames: Sequence[Array]
     numbers: Array
-    groups: Array
     spacings: Array
     length: int
 
     @classmethod
     def of_groups(cls, groups: Sequence[Sequence[Chosen]], length: int) -> ChosenFrames:
         """Those of groups; `length`: frames of the recording."""
-        sizes = [len(group) for group in groups]
         numbers, frames, spacings = zip(*chain.from_iterable(groups), strict=True)
-        return cls(
-            frames, np.array(numbers), np.repeat(np.arange(len(sizes)), sizes), np.array(spacings), length
-        )
+        return cls(frames, np.array(numbers), np.array(spacings), length)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -149,7 +138,7 @@ class ChosenFrames:
     def keyframes(self, frames: Array) -> Keyframes:
         """Keyframes with these values (N, h, w), float32."""
         eight_bits = self.frames[0].dtype.itemsize == 1
-        return Keyframes(frames, self.numbers, self.groups, self.spacings, self.length, eight_bits)
+        return Keyframes(frames, self.numbers, self.spacings, self.length, eight_bits)
 
     def copied(self) -> Keyframes:
         """Keyframes with a copy of the frames."""
@@ -168,6 +157,7 @@ class KeyframeCollector:
     Attributes:
         groups: Keyframes that are kept, of more than `WINDOW` frames.
         length: Frames so far.
+        taken: Keyframes chosen since the start, those that were dropped included.
     """
 
     def __init__(self, *, latest: bool = False) -> None:
@@ -175,18 +165,12 @@ class KeyframeCollector:
         self._latest = latest
         self._head: list[tuple[int, Array, Array]] = []  # until the motion is measured
         self._recent: list[Array] = []  # the last frames, averaged
-        self._measured = False
         self.groups: list[list[Chosen]] = []
         self._every, self._opened, self._opening = 1, 0, -WINDOW
         self._last: Array | None = None  # first frame of the last group, averaged
         self._before: Array | None = None
         self._spacing, self._typical = 1, 0.0
-        self._taken = 0
-
-    @property
-    def taken(self) -> int:
-        """Keyframes chosen since the start, those that were dropped included."""
-        return self._taken
+        self.taken = 0
 
     @property
     def count(self) -> int:
@@ -206,13 +190,10 @@ class KeyframeCollector:
             return None
         small = coarse(frame)
         self._recent = [*self._recent[-WINDOW + 1 :], small]
-        if self._measured:
-            self._consider(number, frame, small)
-            return small
         self._head.append((number, frame, small))
-        if len(self._head) == WINDOW:
-            self._measured = True
-            self._spacing, self._typical = motion_spacing(np.stack(self._recent))
+        if len(self._recent) == WINDOW:
+            if len(self._head) == WINDOW:
+                self._spacing, self._typical = motion_spacing(np.stack(self._recent))
             for each in self._head:
                 self._consider(*each)
             self._head = []
@@ -223,7 +204,7 @@ class KeyframeCollector:
         if self.groups and len(self.groups[-1]) < GROUP_SIZE:
             if number - self.groups[-1][-1][0] >= self._spacing:
                 self.groups[-1].append((number, frame, self._spacing))
-                self._taken += 1
+                self.taken += 1
             return
         stands = (
             self._last is not None
@@ -236,7 +217,7 @@ class KeyframeCollector:
         self._last, self._opening = small, number
         if self._opened % self._every == 0:
             self.groups.append([(number, frame, self._spacing)])
-            self._taken += 1
+            self.taken += 1
         self._opened += 1
         if len(self.groups) > MAX_GROUPS:
             if self._latest:

@@ -14,11 +14,10 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads
-from deepir.recording.bursts import CameraAtRestError
-from deepir.recording.consensus import sampled_gradients
+from deepir.recording.burst import CameraAtRestError
 from deepir.recording.estimate import SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes, spread
-from deepir.recording.pattern_shares import contains_pattern, removes_more, slopes
+from deepir.recording.pattern_gradients import contains_pattern, removes_more, sampled_gradients, slopes
 
 Array = np.ndarray[Any, Any]
 
@@ -39,11 +38,12 @@ MIN_MOVING = 16  # keyframes in which the camera moves, that a sensor is estimat
 
 def pattern_jumps(frames: Array) -> list[int]:
     """Numbers of the keyframes (N, h, w) that are the first with another fixed pattern, increasing."""
-    count = len(frames)
-    places = np.arange(MIN_KEYFRAMES, count - MIN_KEYFRAMES + 1)
+    places = np.arange(MIN_KEYFRAMES, len(frames) - MIN_KEYFRAMES + 1)
     if len(places) < WINDOW:  # too few to know what is usual
         return []
-    gradients = _gradients(frames)
+    height, width = frames.shape[1:]
+    counts = (height - 1) * width, height * (width - 1)
+    gradients = sampled_gradients(frames, *(max(1, each // SAMPLES) for each in counts))
     change = np.array([_change(gradients, int(place)) for place in places])
     usual = float(np.median(change))
     found: list[int] = []
@@ -66,13 +66,6 @@ def _step(gradients: Array, place: int) -> int | None:
     if slope[0] < MIN_SLOPE or max(steps) < MIN_STEP * slope[0]:
         return None
     return near[int(np.argmax(steps))]
-
-
-def _gradients(frames: Array) -> Array:
-    """Some of the differences of neighbouring pixels, (N, samples)."""
-    height, width = frames.shape[1:]
-    counts = (height - 1) * width, height * (width - 1)
-    return sampled_gradients(frames, *(max(1, count // SAMPLES) for count in counts))
 
 
 def _change(gradients: Array, place: int) -> float:
@@ -152,18 +145,15 @@ def estimate_segments(keyframes: Keyframes, *, former: CorrectionMaps | None = N
 
 def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> list[Segment]:
     jumps = pattern_jumps(keyframes.frames)
-    whole: SensorEstimate | DataError
     try:
         whole = _estimate(keyframes, former, keyframes.numbers[jumps].tolist())
+        if not whole.jumps:
+            return [_segment(keyframes, whole)]
         jumps = np.searchsorted(keyframes.numbers, whole.jumps).tolist()
-    except DataError as error:
-        whole = error
-    ends = [0, *jumps, len(keyframes.frames)]
-    parts = [np.arange(*each) for each in itertools.pairwise(ends)]
-    if len(parts) == 1:
-        if isinstance(whole, DataError):
-            raise whole
-        return [_segment(keyframes, whole)]
+    except DataError:
+        if not jumps:
+            raise
+    parts = [np.arange(*each) for each in itertools.pairwise([0, *jumps, len(keyframes.frames)])]
     found, refused = [], []
     for part in parts:
         some = keyframes.subset(part)
@@ -215,13 +205,8 @@ def segment_at(segments: Sequence[Segment], number: int, frame: Array) -> Segmen
         if number <= here.last:
             return here
         if number < after.first:
-            return _fitting(here, after, frame)
+            bad = np.zeros(frame.shape, bool)
+            for each in (here, after):
+                bad |= each.estimate.bad_pixels if each.estimate else False
+            return after if removes_more(here.correct(frame), after.correct(frame), bad) else here
     return segments[-1]
-
-
-def _fitting(here: Segment, after: Segment, frame: Array) -> Segment:
-    """The one of two segments whose correction leaves less pattern in a frame."""
-    bad = np.zeros(frame.shape, bool)
-    for each in (here, after):
-        bad |= each.estimate.bad_pixels if each.estimate else False
-    return after if removes_more(here.correct(frame), after.correct(frame), bad) else here

@@ -12,8 +12,7 @@ from scipy import ndimage
 
 from deepir.arrays.statistics import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
-from deepir.multiview.low_order_pattern import coarsening
-from deepir.multiview.texture_flow import Displacement, displacements, sampled
+from deepir.multiview.texture_flow import Displacement, coarsening, displacements, sampled
 from deepir.recording.defective_pixels import noise_deviation
 
 Array = np.ndarray[Any, Any]
@@ -110,8 +109,7 @@ def thermal_lag(runs: Sequence[Array]) -> ThermalLag | None:
     frames = np.nan_to_num(np.concatenate(runs), copy=False)
     factor = coarsening(frames.shape[1:])
     noise = noise_deviation(frames)
-    usable = np.ones(frames.shape, bool)
-    coarse = block_means(frames, usable, factor)
+    coarse = block_means(frames, np.ones(frames.shape, bool), factor)
     pairs = [(4 * k + i, 4 * k + j) for k in range(len(runs)) for i, j in ((1, 0), (3, 2), (1, 3))]
     found = list(displacements(coarse, pairs))
     compared = []
@@ -155,7 +153,7 @@ def _compared(
 ) -> tuple[Array, Array, Array] | None:
     """Where two frames show the same: change of the ratio of detail, and squared speeds (2, places) in either, px."""
     back, later_back, between = found
-    speeds = [_squared_speed(each, factor) for each in (back, later_back)]
+    speeds = [each.vectors**2 * factor**2 for each in (back, later_back)]
     known_later = sampled(later_back.known.astype(float), between.y, between.x) > 0.99
     y, x = np.nonzero(back.known & between.known & known_later)
     on_grid = (y % STRIDE == 0) & (x % STRIDE == 0)
@@ -169,11 +167,6 @@ def _compared(
     change = np.log(here[1] / here[0]) - np.log(later[1] / later[0])
     first, second = speeds[0][:, y, x], np.stack([sampled(each, *there) for each in speeds[1]])
     return change, first[:, enough], second[:, enough]
-
-
-def _squared_speed(back: Displacement, factor: int) -> Array:
-    """Down and across, (2, h, w), px² a squared frame."""
-    return np.asarray(back.vectors**2 * factor**2)
 
 
 def _nats(change: Array, first: Array, second: Array, tail_length: float) -> float:

@@ -5,8 +5,8 @@ The algorithm, with the functions of each step in order:
 1. Preprocessing: logarithm, stuck pixels (`preprocess.preprocess`).
 2. Frames that say nothing are excluded: repeated ones (`register_burst.repeated_frames`), frames of a closed shutter
    (`frame_selection.shutter_frames`).
-3. Coarse search on a band-passed level (`pyramid.build_level`): cross-correlation over all shifts and some rotations
-   (`cross_correlation.correlation_search`); frames that disagree are rejected
+3. Coarse search on a band-passed level (`preprocess.build_level`): cross-correlation over all shifts and some rotations
+   (`shift_likelihood.correlation_search`); frames that disagree are rejected
    (`frame_selection.largest_consistent_set`, `reject_frames`); pans are matched along a spanning tree
    (`register_pan`).
 4. Alignment on the final levels: scene, fixed pattern and motions alternately, by robust Gauss-Newton steps

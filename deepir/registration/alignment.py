@@ -2,7 +2,7 @@
 
 Each round of `align` has three parts: the frames, less the pattern, are warped onto the grid of the first
 (`warp_to_reference`); each frame takes a robust Gauss-Newton step towards the mean of the others
-(`gauss_newton_step`), of a relaxed length (`aitken_relaxation`); the pattern is estimated anew (`update_pattern`).
+(`normal_equations`), of a relaxed length (`aitken_relaxation`); the pattern is estimated anew (`update_pattern`).
 """
 
 from __future__ import annotations
@@ -71,12 +71,6 @@ class WarpedFrames:
         count = self.count - self.known
         return (self.total - self.frames) / count.clamp_min(1), self.known * (count > 0.5)
 
-    def subsampled(self, stride: int) -> WarpedFrames:
-        """Every `stride`-th pixel along each axis."""
-        strided = slice(None, None, stride)
-        images = (self.frames, self.known, self.total, self.count)
-        return WarpedFrames(*(each[..., strided, strided] for each in images))
-
 
 def align(level: Level, motion: Tensor, model: str, max_rounds: int) -> Alignment:
     """Refine motions by robust Gauss-Newton steps towards the leave-one-out mean, the pattern subtracted.
@@ -100,7 +94,7 @@ def align(level: Level, motion: Tensor, model: str, max_rounds: int) -> Alignmen
     previous_step = torch.zeros(n, PARAMETERS[model], dtype=torch.float64)
     relaxation = torch.full((PARAMETERS[model],), 1 - 1 / n, dtype=torch.float64)
     for remaining in reversed(range(max_rounds)):
-        step = gauss_newton_step(warped, level, model)
+        step = solve_normal_equations(normal_equations(warped, level, model))
         relaxation = aitken_relaxation(relaxation, step, previous_step)
         previous_step = step
         motion = relative(increment(model, relaxation * step, size) @ motion)
@@ -144,14 +138,9 @@ def estimate_pattern(level: Level, motion: Tensor) -> tuple[Tensor, float]:
     return pattern, misfit
 
 
-def misfit_at(level: Level, motion: Tensor) -> float:
-    """Fraction of the frames' mean square that scene and pattern do not explain at fixed motions `(N, 3, 3)`."""
-    return estimate_pattern(level, motion)[1]
-
-
 def accept_by_misfit(level: Level, motion: Tensor, reference: Tensor, max_ratio: float = 1.0) -> bool:
     """Decide for motions `(N, 3, 3)` if their misfit is less than `max_ratio` times that of reference motions."""
-    return misfit_at(level, motion) < max_ratio * misfit_at(level, reference)
+    return estimate_pattern(level, motion)[1] < max_ratio * estimate_pattern(level, reference)[1]
 
 
 def update_pattern(level: Level, scene: Tensor, motion: Tensor) -> tuple[Tensor, float]:
@@ -188,24 +177,15 @@ def update_pattern(level: Level, scene: Tensor, motion: Tensor) -> tuple[Tensor,
     return lines + shrinkage * pixels, misfit
 
 
-def gauss_newton_step(warped: WarpedFrames, level: Level, model: str) -> Tensor:
-    """Robust Gauss-Newton step of each frame's motion against the leave-one-out mean.
+def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
+    """Normal equations, row by row, of a robust Gauss-Newton step of each frame's motion to the leave-one-out mean.
 
-    Gain and level of each frame are solved for as well: `frame(p) = gain * mean(increment(p)) + level`.
+    Gain and level of each frame are unknown as well: `frame(p) = gain * mean(increment(p)) + level`.
 
     Args:
         warped: the frames on the grid of the first.
         level: their level.
         model: motion model, a key of `PARAMETERS`.
-
-    Returns:
-        Parameters `(N, P)` of `increment`, px at the frame's edge.
-    """
-    return solve_normal_equations(normal_equations(warped, level, model))
-
-
-def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
-    """Normal equations of `gauss_newton_step` under Tukey weights, row by row of the level.
 
     Returns:
         `(rows, N, P + 2, P + 3)`: matrix, of the motion's parameters, gain and level, and right side in the last
@@ -216,12 +196,13 @@ def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
 
     stride = 2 if level.weight.numel() > MAX_DENSE_PIXELS else 1
     ax, ay = generators(model, level.grid_points(stride), max(level.shape) / 2)
-    sparse = warped.subsampled(stride * SIGMA_STRIDE)
+    images = warped.frames, warped.known, warped.total, warped.count
+    strided = slice(None, None, stride * SIGMA_STRIDE)
+    sparse = WarpedFrames(*(each[..., strided, strided] for each in images))
     expected, known = sparse.leave_one_out_mean()
     centre, cutoff = centre_and_cutoff((sparse.frames - expected).flatten(1), known.flatten(1))
     n, (p, rows, _) = len(sparse.frames), ax.shape
     equations = torch.empty(rows, n, p + 2, p + 3)
-    images = warped.frames, warped.known, warped.total, warped.count
     parallel_for(
         loops.gauss_newton_sums, rows, *images, ax, ay, stride, float(level.factor), centre, cutoff, equations
     )
@@ -229,7 +210,10 @@ def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
 
 
 def solve_normal_equations(equations: Tensor) -> Tensor:
-    """Parameters `(N, P)` from the sum over rows of normal equations `(rows, N, P + 2, P + 3)`, with a small ridge."""
+    """Parameters `(N, P)` of `increment`, px at the frame's edge, from normal equations `(rows, N, P + 2, P + 3)`.
+
+    These are summed over rows, with a small ridge.
+    """
     p = equations.shape[2] - 2
     normal, right_side = equations.double().sum(0).split((p + 2, 1), 2)
     ridge = 1e-6 * normal.diagonal(dim1=1, dim2=2).mean(1) + 1e-12

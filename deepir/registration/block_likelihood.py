@@ -57,12 +57,7 @@ def accept_by_blocks(block_ratios: list[float], n_left_out: int = 1, min_nats: f
         n_left_out: blocks of the largest ratios that do not count, since a moving object may cover them.
         min_nats: the sum must be larger.
     """
-    return leave_best_out_sum(block_ratios, n_left_out) > min_nats
-
-
-def leave_best_out_sum(ratios: list[float], n_left_out: int = 1) -> float:
-    """Sum of all but the `n_left_out` largest ratios."""
-    return sum(ratios) - sum(sorted(ratios)[-n_left_out:])
+    return sum(block_ratios) - sum(sorted(block_ratios)[-n_left_out:]) > min_nats
 
 
 def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) -> list[float]:
@@ -172,8 +167,9 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
     Returns:
         Motions `(N, 3, 3)`; the object `motion` itself if no others are accepted.
     """
+    shifts = motion[:, :2, 2] / torch.tensor(weight.shape[::-1])
     too_small = len(frames) < 3 or min(weight.shape) < SELECTION.min_side
-    if too_small or relative_shift_range(motion, weight) > SELECTION.max_shift_range:
+    if too_small or (shifts.amax(0) - shifts.amin(0)).max() > SELECTION.max_shift_range:
         return motion
     reduced, factor = likelihood_frames(frames, weight)
     residual = relative(motion)
@@ -236,12 +232,6 @@ def has_linear_part(motion: Tensor, weight: Tensor) -> bool:
     """Whether relative motions `(N, 3, 3)` of frames of the weight's shape rotate or stretch noticeably."""
     deviation = float((motion[:, :2, :2] - torch.eye(2)).abs().amax())
     return deviation * max(weight.shape) / 2 > MAX_LINEAR_DISPLACEMENT
-
-
-def relative_shift_range(motion: Tensor, weight: Tensor) -> float:
-    """Largest difference of shifts of motions `(N, 3, 3)`, over the side of frames of the weight's shape."""
-    shifts = motion[:, :2, 2] / torch.tensor(weight.shape[::-1])
-    return float((shifts.amax(0) - shifts.amin(0)).max())
 
 
 def corner_distance(before: Tensor, after: Tensor, frames: Tensor) -> float:

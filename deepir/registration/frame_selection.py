@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import identity
-from deepir.registration.alignment import Alignment, align, misfit_at, tukey_weights, warp_to_reference
+from deepir.registration.alignment import Alignment, align, estimate_pattern, tukey_weights, warp_to_reference
 from deepir.registration.preprocess import Level
 from deepir.registration.shift_likelihood import correlation_search, match_to_reference
 
@@ -84,14 +84,12 @@ def largest_consistent_set(level: Level, model: str) -> FrameSelection:
         level: N frames.
         model: "shift" or "rigid".
     """
-    best = None
+    found = []
     for pattern_present in (True, False) if len(level.frames) > 2 else (True,):
         images = level.frames if pattern_present else level.frames - level.frames.median(0).values
         motion, match_score = correlation_search(images, level, model, pattern_present)
-        used, alignment = reject_frames(level, match_score > 1, motion, model)
-        if best is None or has_clearly_lower_misfit(alignment, best.alignment):
-            best = FrameSelection(match_score, used, alignment)
-    assert best is not None
+        found.append(FrameSelection(match_score, *reject_frames(level, match_score > 1, motion, model)))
+    best = found[-1] if has_clearly_lower_misfit(found[-1].alignment, found[0].alignment) else found[0]
     used, alignment = best.used, best.alignment
     if used.sum() > 2 and exceeds_shift(level, alignment.motion, PAN.min_shift):
         return register_pan(level, best, model)
@@ -269,17 +267,17 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     least_spread, scene_frames = SHUTTER.max_spread, none
     for distance in distances:
         different = distance > SHUTTER.duplicate_distance * typical
-        if different.sum() < SHUTTER.min_scene_frames:
-            continue
-        if (spread := float(distance[different].max() / distance[different].min())) < least_spread:
-            least_spread, scene_frames = spread, different
+        if different.sum() >= SHUTTER.min_scene_frames:
+            spread = float(distance[different].max() / distance[different].min())
+            if spread < least_spread:
+                least_spread, scene_frames = spread, different
     if not scene_frames.any():
         return none
     shutter = (~scene_frames).nonzero()[:, 0]
     difference = replace(level, frames=level.frames[scene_frames] - level.frames[shutter].mean(0))
     motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
     used, alignment = reject_frames(difference, match_score > 1, motion, model)
-    misfit_at_rest = misfit_at(difference.subset(used), identity(int(used.sum())))
+    _, misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))
     static_power = SHUTTER.max_static_power * difference.frames.square().mean()
     is_static = alignment.pattern.square().mean() > static_power
     is_explained = alignment.misfit < SHUTTER.max_misfit_ratio * misfit_at_rest

@@ -7,6 +7,7 @@ prefers others. `select_homography` asks whether rigid motions are enough.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -198,7 +199,7 @@ def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Ten
 
 def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
     """Level of the coarse search, of preprocessed frames `(N, H, W)` of weight `(H, W)`."""
-    return build_level(preprocessed, weight, next_power_of_two(max(weight.shape) / LEVELS.search_side))
+    return build_level(preprocessed, weight, power_of_two(max(weight.shape) / LEVELS.search_side))
 
 
 def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
@@ -209,7 +210,7 @@ def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> li
         weight: `(H, W)`, zero where a pixel is bad.
         coarse_factor: px per px of the coarse level.
     """
-    last = next_power_of_two((weight.numel() / LEVELS.max_final_pixels) ** 0.5)
+    last = power_of_two((weight.numel() / LEVELS.max_final_pixels) ** 0.5)
     factors = (2 * last, last) if 2 * last < coarse_factor else (last,)
     return [build_level(preprocessed, weight, factor) for factor in factors]
 
@@ -223,12 +224,9 @@ def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
     return motion
 
 
-def next_power_of_two(ratio: float) -> int:
+def power_of_two(ratio: float) -> int:
     """Smallest power of two that is at least `ratio`, and at least one."""
-    factor = 1
-    while factor < ratio:
-        factor *= 2
-    return factor
+    return 1 << max(math.ceil(ratio) - 1, 0).bit_length()
 
 
 def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tensor) -> Tensor:

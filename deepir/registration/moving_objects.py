@@ -175,15 +175,12 @@ def register_beside_moving_objects(
         missing: `(N, H, W)` bool, samples without data, treated as covered by an object; finally inpainted.
     """
     frames, preprocessed = torch.where(weight > 0, estimate.frames.float(), 0.0), estimate.preprocessed
-    mask = torch.zeros(preprocessed.shape, dtype=torch.bool)
     if len(frames) > 2:
-        mask = moving_object_mask(preprocessed)
-    if missing is not None:
-        mask = mask | missing
-    if len(frames) > 2 and mask.any():
+        mask, level = moving_object_mask(preprocessed), estimate.coarse_level
+        if missing is not None:
+            mask |= missing
         frames_lost = missing is not None and not estimate.used.all()
-        if frames_lost or not is_well_explained(estimate, weight):
-            level = estimate.coarse_level
+        if mask.any() and (frames_lost or not is_well_explained(estimate, weight)):
             for proposed in alternative_estimates(estimate, frames, mask, weight, model):
                 motion = reregister_worst_frames(level, proposed.full_motion, model)
                 candidate = proposed.with_motion(motion)
@@ -254,10 +251,8 @@ def is_distinct(estimate: MotionEstimate, other: MotionEstimate) -> bool:
     """Whether two estimates use different frames, or motions that are distinct at the corners."""
     if not torch.equal(estimate.used, other.used):
         return True
-    if len(estimate.motion) < 2:
-        return False
     motions = relative(estimate.motion), relative(other.motion)
-    return corner_distance(*motions, estimate.frames) > DISTINCT_DISTANCE
+    return len(estimate.motion) > 1 and corner_distance(*motions, estimate.frames) > DISTINCT_DISTANCE
 
 
 def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:

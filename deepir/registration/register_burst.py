@@ -85,7 +85,7 @@ def register(
         for k, earlier in repeated_frames(frames).items()
     }
     if n > SHUTTER.min_scene_frames:
-        is_shutter = shutter_frames(search_level(preprocessed, weight), initial_model(model))
+        is_shutter = shutter_frames(search_level(preprocessed, weight), "rigid" if model == AUTO else model)
         reason = "shows the pattern and no scene, as where a shutter closes"
         excluded |= dict.fromkeys(is_shutter.nonzero()[:, 0].tolist(), reason)
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
@@ -95,11 +95,6 @@ def register(
         frames[kept], preprocessed[kept], weight, model, None if missing is None else missing[kept]
     )
     return make_registration(motion, confidence, start, excluded)
-
-
-def initial_model(model: str) -> str:
-    """Model of the search: rigid if the model is to be selected."""
-    return "rigid" if model == AUTO else model
 
 
 def repeated_frames(frames: Tensor) -> dict[int, int]:
@@ -129,8 +124,9 @@ def estimate_burst(
     Returns:
         Motions `(N, 3, 3)`, NaN where a frame is not used, and confidences `(N,)`, for `make_registration`.
     """
-    estimate = estimate_motion(frames, preprocessed, weight, initial_model(model))
-    estimate = register_beside_moving_objects(estimate, weight, initial_model(model), missing)
+    searched = "rigid" if model == AUTO else model
+    estimate = estimate_motion(frames, preprocessed, weight, searched)
+    estimate = register_beside_moving_objects(estimate, weight, searched, missing)
     level, used, alignment, motion = estimate.coarse_level, estimate.used, estimate.alignment, estimate.motion
     if used.sum() > 1:
         if model == AUTO:

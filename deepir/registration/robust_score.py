@@ -45,18 +45,6 @@ SCORE = ScoreSettings()
 MEDIANS = MedianSettings()
 
 
-@dataclass(frozen=True)
-class MedianModel:
-    """Robust model of frames at given motions.
-
-    scene, pattern: `(h, w)`. overlapping: `(M, h, w)` bool, samples of the M used frames that other frames show, too.
-    """
-
-    scene: Tensor
-    pattern: Tensor
-    overlapping: Tensor
-
-
 def accept_by_residuals(level: Level, before: Tensor, after: Tensor) -> bool:
     """Decide for motions `after` if they gain `MIN_CLEAR_GAIN` over `before`; arguments as `log_likelihood_ratio`."""
     return log_likelihood_ratio(level, before, after) >= MIN_CLEAR_GAIN
@@ -122,14 +110,14 @@ def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
     used = motion.isfinite().all((1, 2))
     residual = torch.full_like(level.frames, torch.inf)
     if used.any():
-        model = median_model(level, motion)
-        expected, known = sample(model.scene[None], motion[used], level)
-        magnitude = (level.frames[used] - expected - model.pattern).abs()
-        residual[used] = magnitude.where(model.overlapping & (known > 0), torch.inf)
+        scene, pattern, overlapping = median_model(level, motion)
+        expected, known = sample(scene[None], motion[used], level)
+        magnitude = (level.frames[used] - expected - pattern).abs()
+        residual[used] = magnitude.where(overlapping & (known > 0), torch.inf)
     return residual
 
 
-def median_model(level: Level, motion: Tensor) -> MedianModel:
+def median_model(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Scene and pattern at given motions, alternately, as medians over the used frames.
 
     An object that covers a point in few frames is in neither median.
@@ -137,6 +125,9 @@ def median_model(level: Level, motion: Tensor) -> MedianModel:
     Args:
         level: N frames.
         motion: `(N, 3, 3)`, NaN where a frame is not used.
+
+    Returns:
+        Scene and pattern `(h, w)`, and the samples of the M used frames that other frames show, too, `(M, h, w)` bool.
     """
     used = motion.isfinite().all((1, 2))
     level, motion = level.subset(used), motion[used]
@@ -150,7 +141,7 @@ def median_model(level: Level, motion: Tensor) -> MedianModel:
         scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
         previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))
-    return MedianModel(scene, pattern, overlapping)
+    return scene, pattern, overlapping
 
 
 def _masked_median(images: Tensor, known: Tensor) -> Tensor:
@@ -180,9 +171,9 @@ def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
         candidate[worst] = torch.nan
         if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
             break
-        others = median_model(level, candidate)
-        image = level.frames[worst] - others.pattern
-        candidate[worst], _ = match_to_reference(others.scene, image, level, model, pattern_present=False)
+        scene, pattern, _ = median_model(level, candidate)
+        image = level.frames[worst] - pattern
+        candidate[worst], _ = match_to_reference(scene, image, level, model, pattern_present=False)
         if corner_distance(motion[worst], candidate[worst], level.frames) < DISTINCT_DISTANCE:
             break
         if not accept_by_residuals(level, motion, candidate):

@@ -54,26 +54,16 @@ def correlation_search(
         Motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`: height of the peak over the detection
         threshold, infinite for the reference itself.
     """
-    n = len(images)
-    candidates, best = list(range(n)), None
-    for _ in range(min(MAX_REFERENCES, n)):
-        if not candidates:
-            break
+    candidates, found = list(range(len(images))), []
+    for _ in range(MAX_REFERENCES):
         reference = candidates[0]
         motion, match_score = match_to_reference(images[reference], images, level, model, pattern_present)
         motion[reference], match_score[reference] = torch.eye(3, dtype=torch.float64), math.inf
-        if best is None or (match_score > 1).sum() > (best[1] > 1).sum():
-            best = motion, match_score
-        if 2 * (match_score > 1).sum() > n:
-            break
+        found.append((motion, match_score))
         candidates = [k for k in candidates if not match_score[k] > 1]
-    assert best is not None
-    return best
-
-
-def detection_threshold(level: Level) -> float:
-    """Peak height, in standard deviations over all lags, at which the match score is one."""
-    return min(PEAK.max_threshold, max(PEAK.min_threshold, PEAK.per_root_pixel * level.weight.numel() ** 0.5))
+        if not candidates or 2 * (match_score > 1).sum() > len(images):
+            break
+    return max(found, key=lambda each: int((each[1] > 1).sum()))
 
 
 def match_to_reference(
@@ -107,7 +97,8 @@ def match_to_reference(
         motion[:, :2, 2] = lag.double() * level.factor @ turn[:2, :2].T
         improved = height > best_height * (ROTATION_MARGIN if k else 1.0)
         best_motion[improved], best_height[improved] = motion[improved], height[improved]
-    return best_motion, best_height.double() / detection_threshold(level)
+    threshold = float(np.clip(PEAK.per_root_pixel * (h * w) ** 0.5, PEAK.min_threshold, PEAK.max_threshold))
+    return best_motion, best_height.double() / threshold
 
 
 def hann_window(h: int, w: int) -> Tensor:

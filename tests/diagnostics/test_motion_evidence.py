@@ -8,7 +8,7 @@ import pytest
 from skimage.data import camera
 
 import deepir
-from deepir.diagnostics.motion_evidence import scene_period
+from deepir.diagnostics.fit import scene_period
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import sky

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.diagnostics.residual_correlation import lag_correlation, residual_correlation
+from deepir.diagnostics.fit import lag_correlation, residual_correlation
 from tests.effects.solved import burst, solved
 
 CAMERA = {"n_frames": 6, "shape": (96, 128)}

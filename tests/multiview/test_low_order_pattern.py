@@ -37,17 +37,14 @@ def test_displacements_are_those_of_the_zoom_and_do_not_follow_a_shading(drive, 
 
 def test_a_moving_scene_shows_the_low_order_pattern(drive, shading):
     found = low_order_pattern(drive + shading, np.ones(drive.shape, bool))
-    assert found.related
-    assert np.corrcoef(found.offset.ravel(), shading.ravel())[0, 1] > 0.9
-    assert abs(low_order_pattern(drive, np.ones(drive.shape, bool)).offset.std()) < 0.3 * shading.std()
+    assert np.corrcoef(found.ravel(), shading.ravel())[0, 1] > 0.9
+    assert low_order_pattern(drive, np.ones(drive.shape, bool)).std() < 0.3 * shading.std()
 
 
 def test_scenes_that_have_nothing_in_common_show_none(shading):
     pictures = [data.camera(), data.coins(), data.moon(), data.brick(), data.grass(), data.gravel()]
     frames = np.stack([each[: SIZE[0], : SIZE[1]].astype(float) for each in pictures]) + shading
-    found = low_order_pattern(frames, np.ones(frames.shape, bool))
-    assert not found.related
-    assert not found.offset.any()
+    assert low_order_pattern(frames, np.ones(frames.shape, bool)) is None
 
 
 def judged(frames, correction, *others):

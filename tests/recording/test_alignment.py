@@ -5,9 +5,8 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from deepir.recording.alignment import turned
-from deepir.recording.bursts import find_burst
-from deepir.recording.canvas import centred, project
+from deepir.recording.alignment import centred, project, turned
+from deepir.recording.burst import find_burst
 
 SIZE, HALF = (96, 128), 64.0
 

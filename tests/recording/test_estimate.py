@@ -7,9 +7,9 @@ from scipy import ndimage
 import deepir
 from deepir.correct_recording import correct
 from deepir.errors import DataError
-from deepir.recording.consensus import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, rounding_deviation
 from deepir.recording.displaced import fine_part
+from deepir.recording.pattern_gradients import gradient_consensus
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 

@@ -5,8 +5,7 @@ from skimage import data
 
 from deepir.recording.burst import Burst
 from deepir.recording.joint_solve import low_order_step
-from deepir.recording.low_order import LowOrderModes
-from deepir.recording.offset_prior import PatternPrior, dct
+from deepir.recording.modes import LowOrderModes, PatternPrior, dct
 
 
 def test_a_slope_along_either_axis_is_made_of_modes_exactly():
@@ -27,5 +26,5 @@ def test_the_drift_of_levels_is_found_whatever_offset_is_known_so_far():
     for start in (fine, fine + np.linspace(-20, 20, 48)[:, None]):
         burst = Burst(frames.astype(np.float32), np.ones(frames.shape, bool), motion, 0)
         burst.weigh(start, np.ones(size), 0.1, robust=False)
-        low_order_step([burst], modes, PatternPrior.of_finest(dct(fine)), start, np.ones(size))
+        low_order_step([burst], modes, PatternPrior(dct(fine)), start, np.ones(size))
         assert 9 / 10 < burst.level_variance < 9 * 10  # decades are tried

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from deepir.recording.pattern_shares import contains_pattern, removes_more, shares
+from deepir.recording.pattern_gradients import contains_pattern, removes_more, shares
 
 
 def detail(scene):

@@ -1,9 +1,13 @@
-"""Normal equations of the low-order part of an offset, with the levels, motions and gains of the frames.
+"""Cosine modes of an offset: the prior of all, and the normal equations of those of long periods.
+
+One Gaussian holds the pattern at all scales. The variance of a mode depends on its period alone, and is larger where
+the mode is a column or a row: rows and columns share electronics.
 
 A point of the scene that n frames show has one brightness: it is eliminated, and what is left are differences between
-the frames. Those are averaged over blocks of the canvas, so that the system is small and is solved exactly, with its
-posterior covariance. Motion and level are unknowns beside the offset: a slope of the offset looks like levels that
-follow the motion, and only the exact posterior knows which of them the data determine.
+the frames. Those are averaged over blocks of the canvas, so that the system of the modes of long periods, with the
+levels, motions and gains of the frames, is small and is solved exactly, with its posterior covariance. Motion and level
+are unknowns beside the offset: a slope of the offset looks like levels that follow the motion, and only the exact
+posterior knows which of them the data determine.
 """
 
 from __future__ import annotations
@@ -13,18 +17,96 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
+from scipy import fft, ndimage
 
-from deepir.recording.alignment import motion_gradients
-from deepir.recording.canvas import centred, weighted_mean
-from deepir.recording.offset_prior import dct, idct, mode_radius
+from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
+from deepir.recording.alignment import centred, motion_gradients, weighted_mean
 
 Array = np.ndarray[Any, Any]
 
+PSEUDO_COUNT = 2.0  # modes that the variance of a band so far counts as
+#: Modes of a period longer than this, in px, start with a variance that grows with the square of the period.
+WHITE_PERIOD = 8.0
 BLOCKS = 40  # blocks along the longer side of a frame
 MIN_WEIGHT = 1e-3  # of the best seen block's, from which a block counts
 SCALES = (1, 2, 4, 8)  # blocks over which the misfit is averaged
 CLIP = 6.0  # sigmas, of a block's misfit
+
+
+def dct(values: Array) -> Array:
+    """Orthonormal cosine transform over the last two axes."""
+    return np.asarray(fft.dctn(values, norm="ortho", axes=(-2, -1)))
+
+
+def idct(modes: Array) -> Array:
+    """Its inverse."""
+    return np.asarray(fft.idctn(modes, norm="ortho", axes=(-2, -1)))
+
+
+def mode_radius(size: Sequence[int]) -> Array:
+    """Half periods of each cosine mode over the longer side of a frame (h, w)."""
+    down, across = (np.arange(side) * max(size) / side for side in size)
+    return np.hypot(down[:, None], across)
+
+
+class PatternPrior:
+    """Variances of the cosine modes of a pattern (h, w), estimated by expectation maximisation.
+
+    Args:
+        modes: (h, w), of a pattern, to start from its finest ones: the others continue their spectrum.
+
+    Attributes:
+        start: (h, w), variance of each mode before the data; of the mean next to nothing, which no data determine.
+        variance: (h, w), of each mode.
+    """
+
+    def __init__(self, modes: Array) -> None:
+        self.groups = mode_groups(modes.shape)
+        radius, longer = mode_radius(modes.shape), max(modes.shape)
+        finest = modes[radius > longer / 2]
+        pixel_variance = max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12)
+        growth = np.maximum(1, (2 * longer / WHITE_PERIOD / np.maximum(radius, 1)) ** 2)
+        self.start = pixel_variance * growth
+        self.start[0, 0] = 1e-9 * pixel_variance
+        self.variance = self.start.copy()
+
+    def strengths(self, modes: Array, posterior: Array, among: Array) -> Array:
+        """Variances of modes in a mask (h, w), by the means and posterior variances (h, w) of those of their group."""
+        groups, start = self.groups[among], self.start[among]
+        most = int(self.groups.max()) + 1
+        known = np.bincount(groups, minlength=most)
+        power = np.bincount(groups, (modes**2 + posterior)[among], most)
+        before = np.bincount(groups, start, most) / np.maximum(known, 1)
+        found = ((power + PSEUDO_COUNT * before) / (known + PSEUDO_COUNT))[groups]
+        return np.asarray(np.where(start == self.start[0, 0], start, found))
+
+
+def mode_groups(size: Sequence[int]) -> Array:
+    """The group (h, w) of each mode, those of about one period; columns and rows have groups of their own."""
+    band = np.floor(2 * np.log2(np.maximum(mode_radius(size), 1.0))).astype(int)  # half an octave each
+    axis = np.zeros(band.shape, int)
+    axis[1:, 0], axis[0, 1:] = 1, 2
+    return 3 * band + axis
+
+
+def shared_share(one: Array, other: Array) -> Array:
+    """Share (h, w), between 0 and 1, of the variance of the mean of two estimates that is common to both.
+
+    Args:
+        one, other: modes of two patterns with independent errors, (h, w).
+    """
+    groups = mode_groups(one.shape).ravel()
+    common = np.bincount(groups, (one * other).ravel())
+    total = np.bincount(groups, ((one + other) ** 2 / 4).ravel())
+    share = np.clip(common / np.maximum(total, np.finfo(float).tiny), 0, 1)
+    return np.asarray(share[groups].reshape(one.shape))
+
+
+def group_power(modes: Array) -> Array:
+    """Mean square (h, w) of modes (h, w) over those of each group."""
+    groups = mode_groups(modes.shape).ravel()
+    mean = np.bincount(groups, modes.ravel() ** 2) / np.maximum(np.bincount(groups), 1)
+    return np.asarray(mean[groups].reshape(modes.shape))
 
 
 class LowOrderModes:
@@ -119,11 +201,10 @@ class NormalEquations:
         """By which the misfit at the scale where it is largest exceeds the noise of the samples, at least one."""
         total, moment = np.zeros(int(self._seen.sum())), np.zeros(int(self._seen.sum()))
         rest = []
-        modes = len(self.score) - len(self._rows) * self.per_frame
-        for k, (inside, design, weight, change) in enumerate(self._rows):
-            mine = modes + k * self.per_frame
-            own = np.concatenate([unknowns[:modes], unknowns[mine : mine + self.per_frame]])
-            rest.append(change - design @ own)
+        modes, of_frames = np.split(unknowns, [len(self.score) - len(self._rows) * self.per_frame])
+        of_frames = of_frames.reshape(len(self._rows), -1)
+        for (inside, design, weight, change), own in zip(self._rows, of_frames, strict=True):
+            rest.append(change - design @ np.concatenate([modes, own]))
             total[inside] += weight
             moment[inside] += weight * rest[-1]
         scene = moment / np.maximum(total, np.finfo(float).tiny)
@@ -138,15 +219,9 @@ class NormalEquations:
 
 def _mean_square(maps: Array, counts: Array, scale: int) -> float:
     """Of sums of standardised residuals over `scale` x `scale` blocks; one if they are independent."""
-    height, width = (side // scale for side in maps.shape[1:])
-
-    def sums(values: Array) -> Array:
-        cut = values[:, : height * scale, : width * scale]
-        return np.asarray(cut.reshape(len(values), height, scale, width, scale).sum((2, 4)))
-
-    known = sums(counts)
+    sums, known = block_sums(maps, scale), block_sums(counts, scale)
     full = known > scale**2 / 2
-    return float((sums(maps)[full] ** 2 / known[full]).mean()) if full.sum() > 2 * len(maps) else 1.0
+    return float((sums[full] ** 2 / known[full]).mean()) if full.sum() > 2 * len(maps) else 1.0
 
 
 def low_order_equations(
@@ -189,16 +264,12 @@ def low_order_equations(
         inside = np.flatnonzero(weight[k][seen] > 0)
         at = [each[inside] for each in places(k, seen)]
         own_weight, values = weight[k][seen][inside], change[k][seen][inside]
-        gain = (
-            []
-            if offset is None
-            else [bright[inside] + ndimage.map_coordinates(offset, at, order=1, mode="nearest")]
-        )
-        design = np.concatenate([modes.at(*at), np.stack([*(each[inside] for each in own), *gain], 1)], 1)
-        weighted, mine = (
-            design * own_weight[:, None],
-            np.s_[count + k * per_frame : count + (k + 1) * per_frame],
-        )
+        columns = [each[inside] for each in own]
+        if offset is not None:
+            columns.append(bright[inside] + ndimage.map_coordinates(offset, at, order=1, mode="nearest"))
+        design = np.concatenate([modes.at(*at), np.stack(columns, 1)], 1)
+        weighted = design * own_weight[:, None]
+        mine = np.s_[count + k * per_frame : count + (k + 1) * per_frame]
         normal, slope = weighted.T @ design, weighted.T @ values
         matrix[shared, shared] += normal[shared, shared]
         matrix[mine, mine] = normal[count:, count:]
