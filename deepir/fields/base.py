@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -33,6 +33,9 @@ class Field(nn.Module):
     can_represent: ClassVar[bool] = True
     #: Motion model of the registration that initialises the field; None unless it is a motion.
     model: ClassVar[str | None] = None
+    #: Shape and options of `example`.
+    example_shape: ClassVar[Shape] = (1, 1, 6, 7)
+    example_options: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
         super().__init__()
@@ -65,9 +68,9 @@ class Field(nn.Module):
         return not self.can_represent or any(isinstance(each, LAYERS) for each in self.modules())
 
     @classmethod
-    def example(cls) -> Field:
+    def example(cls) -> Self:
         """A small instance: the test-suite collects it from the registry."""
-        return cls((1, 1, 6, 7))
+        return cls(cls.example_shape, **cls.example_options)
 
 
 def demand_deviation(sigma: float | None) -> None:

@@ -45,6 +45,8 @@ class Flow(Field):
         ValueError: `spacing` or `weight` is out of range.
     """
 
+    example_shape = (3, 3, 3)
+    example_options: ClassVar = {"size": (12, 15), "spacing": 5}
     model: ClassVar[str | None] = "homography"
     weight: Tensor
     start: Tensor
@@ -98,11 +100,6 @@ class Flow(Field):
         squared = squared_gradient(self.preconditioning_scale * self.values).sum(1)
         rounded = squared / (torch.sqrt(squared + TV_SMOOTHING**2) + TV_SMOOTHING)
         return self.weight * self.spacing * rounded.sum()
-
-    @classmethod
-    def example(cls) -> Flow:
-        """Three frames of 12 x 15 px."""
-        return cls((3, 3, 3), size=(12, 15), spacing=5)
 
 
 def _spline_basis(side: int, spacing: float) -> Tensor:

@@ -32,6 +32,8 @@ class Motion(Field):
         anchored: Whether frame 0 defines where the scene is; else it is an unknown as the others are.
     """
 
+    example_shape = (3, 3, 3)
+    example_options: ClassVar = {"size": (60, 80)}
     n_parameters: ClassVar[int]
 
     def __init__(
@@ -76,11 +78,6 @@ class Motion(Field):
     def parameters_of(self, t: Tensor) -> Tensor:
         """The inverse of `matrices`; `t[:, 2, 2]` is one."""
         raise NotImplementedError
-
-    @classmethod
-    def example(cls) -> Motion:
-        """Three frames of 60 x 80 px."""
-        return cls((3, 3, 3), size=(60, 80))
 
 
 @register("field", "shift")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -25,6 +26,8 @@ class Airy(PSF):
     "Principles of Optics", 8.5.2.) It is sampled at pixel centres. The blur's radius should be two to three of it.
     """
 
+    example_options: ClassVar = {"size": (60, 80), "radius": 2.2}
+
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
     ) -> None:
@@ -43,8 +46,3 @@ class Airy(PSF):
         amplitude = torch.cos(v[..., None] * angle.cos()) @ angle.sin().square()
         energy = amplitude.square()
         return (energy / energy.sum()).expand(self.shape)
-
-    @classmethod
-    def example(cls) -> Airy:
-        """A kernel of 9 x 9 px."""
-        return cls((1, 1, 9, 9), size=(60, 80), radius=2.2)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from torch import Tensor
 
 from deepir.fields.base import Shape
@@ -16,6 +18,8 @@ class Defocus(PSF):
     It has an edge, so that it is integrated over pixels. The blur's radius should be a px more than its own.
     """
 
+    example_options: ClassVar = {"size": (60, 80), "radius": 2.2}
+
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
     ) -> None:
@@ -27,8 +31,3 @@ class Defocus(PSF):
             self._axis(), lambda x, y: ((width - (x**2 + y**2).sqrt()) / EDGE_WIDTH).sigmoid()
         )
         return (found / found.sum()).expand(self.shape)
-
-    @classmethod
-    def example(cls) -> Defocus:
-        """A kernel of 9 x 9 px."""
-        return cls((1, 1, 9, 9), size=(60, 80), radius=2.2)

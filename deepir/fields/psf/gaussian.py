@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
@@ -18,6 +20,8 @@ class Gaussian(PSF):
     one pixel. The blur's radius should be 3 sigma.
     """
 
+    example_options: ClassVar = {"size": (60, 80), "sigma": 1.3}
+
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float = 1.0
     ) -> None:
@@ -32,8 +36,3 @@ class Gaussian(PSF):
         """The normalised kernel of a standard deviation."""
         line = torch.softmax(-((self._axis() / width) ** 2) / 2, 0)
         return (line[:, None] * line).expand(self.shape)
-
-    @classmethod
-    def example(cls) -> Gaussian:
-        """A kernel of 9 x 9 px."""
-        return cls((1, 1, 9, 9), size=(60, 80), sigma=1.3)

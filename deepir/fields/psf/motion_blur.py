@@ -22,6 +22,7 @@ class MotionBlur(PSF):
     radius should be a px more than half its length.
     """
 
+    example_options: ClassVar = {"size": (60, 80), "length": 4.0, "angle": 30.0}
     search_ratio: ClassVar[float] = 1.25
     can_represent: ClassVar[bool] = False  # its direction, to half a degree
 
@@ -70,8 +71,3 @@ class MotionBlur(PSF):
         xx, xy, yy = ((kernel * each).sum() for each in (x * x, x * y, y * y))
         self.turn.copy_(torch.atan2(2 * xy, xx - yy) / 2 / self.preconditioning_scale)
         super().init_from(value)
-
-    @classmethod
-    def example(cls) -> MotionBlur:
-        """A kernel of 9 x 9 px."""
-        return cls((1, 1, 9, 9), size=(60, 80), length=4.0, angle=30.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -27,6 +27,9 @@ class DeepDecoder(Network):
         blocks: How many, the last of which does not double the size.
         options: Those of every `Network`.
     """
+
+    example_shape = (1, 1, 11, 9)
+    example_options: ClassVar = {"width": 4, "blocks": 3}
 
     def __init__(
         self,
@@ -60,8 +63,3 @@ class DeepDecoder(Network):
             x = norm(F.relu(x))
         picture: Tensor = self.last(x)
         return picture[..., : self.shape[-2], : self.shape[-1]]
-
-    @classmethod
-    def example(cls) -> DeepDecoder:
-        """A small one for 11 x 9 px."""
-        return cls((1, 1, 11, 9), width=4, blocks=3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import torch
 import torch.nn.functional as F
@@ -35,6 +35,8 @@ class DIP(Network):
         pad: What lies beyond the edges.
     """
 
+    example_shape = (1, 1, 11, 9)
+    example_options: ClassVar = {"width": 4, "scales": 2, "inputs": 2}
     noise: Tensor
     drawn: Tensor
 
@@ -85,8 +87,3 @@ class DIP(Network):
         generator = torch.Generator().manual_seed(int(self.drawn))
         self.drawn += 1
         return torch.randn(like.shape, generator=generator).to(like)
-
-    @classmethod
-    def example(cls) -> DIP:
-        """A small network for 11 x 9 px."""
-        return cls((1, 1, 11, 9), width=4, scales=2, inputs=2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -42,6 +42,8 @@ class Fourier(Coordinates):
         options: Those of every `Network`.
     """
 
+    example_options: ClassVar = {"count": 4, "width": 8, "depth": 1}
+
     def __init__(
         self,
         shape: Shape,
@@ -63,8 +65,3 @@ class Fourier(Coordinates):
         last = nn.Linear(width, shape[0])
         self.begin_at_start(last)
         self.net = nn.Sequential(*layers, last)
-
-    @classmethod
-    def example(cls) -> Fourier:
-        """A small one for 6 x 7 px."""
-        return cls((1, 1, 6, 7), count=4, width=8, depth=1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -36,6 +36,8 @@ class Siren(Coordinates):
         options: Those of every `Network`.
     """
 
+    example_options: ClassVar = {"width": 8, "depth": 2}
+
     def __init__(
         self,
         shape: Shape,
@@ -59,8 +61,3 @@ class Siren(Coordinates):
                 bound = (6 / width) ** 0.5 / omega
                 each.weight.uniform_(-bound, bound)
         self.begin_at_start(linear[-1])
-
-    @classmethod
-    def example(cls) -> Siren:
-        """A small one for 6 x 7 px."""
-        return cls((1, 1, 6, 7), width=8, depth=2)

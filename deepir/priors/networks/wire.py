@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -52,6 +52,8 @@ class Wire(Coordinates):
         options: Those of every `Network`.
     """
 
+    example_options: ClassVar = {"width": 4, "depth": 1}
+
     def __init__(
         self,
         shape: Shape,
@@ -73,8 +75,3 @@ class Wire(Coordinates):
         nn.init.uniform_(last.weight, -(width**-0.5), width**-0.5)
         self.begin_at_start(last)
         self.net = nn.Sequential(first, *inner, last)
-
-    @classmethod
-    def example(cls) -> Wire:
-        """A small one for 6 x 7 px."""
-        return cls((1, 1, 6, 7), width=4, depth=1)
