@@ -13,10 +13,9 @@ from deepir.arrays.statistics import median_sigma
 from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
-from deepir.fields.dense_motion import Flow
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise
-from deepir.fields.motion import Motion
+from deepir.fields.motion import Flow, Motion
 from deepir.joint_problem import AnyProblem
 from deepir.operators import Lag, Sensor
 from deepir.optim.fourier_hessian import (

@@ -18,7 +18,7 @@ from deepir.effects.effect import Effect
 from deepir.effects.sensor_pattern import ReferenceLevel
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
-from deepir.fields.dense_motion import Flow
+from deepir.fields.motion import Flow
 from deepir.likelihoods import Huber
 from deepir.operators import Chain, Warp
 from deepir.optim.fourier_hessian import has_fourier_model
