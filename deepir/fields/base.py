@@ -98,6 +98,13 @@ def check_counts(**counts: tuple[int, int]) -> None:
             raise ValueError(f"{name} must be 1 to {most}, not {value}")
 
 
+def check_positive(**values: float) -> None:
+    """Raise `ValueError` for a number, given by its name, that is not positive and finite."""
+    for name, value in values.items():
+        if not 0 < value < math.inf:
+            raise ValueError(f"{name} must be a positive number, not {value}")
+
+
 class GaussianField(Field):
     """Zero-mean Gaussian deviation from neutral; neutral if `sigma` is zero.
 
@@ -122,18 +129,33 @@ class GaussianField(Field):
         self.register_buffer("preconditioning_scale", torch.tensor(1.0))
 
 
-@register("field", "pixels")
-class Pixels(Field):
-    """One free value for each element: the scene's pixels, or the level of each frame."""
+class StandardisedField(Field):
+    """A field in units of the standard deviation of its start, from the mean of that."""
 
     center: Tensor
     scale: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
         super().__init__(shape, neutral)
-        self.values = nn.Parameter(torch.zeros(self.shape))
         self.register_buffer("center", torch.tensor(float(neutral)))
         self.register_buffer("scale", torch.tensor(1.0))
+
+    def standardise(self, value: Tensor) -> Tensor:
+        """Set centre and scale to mean and deviation of a value, and return it in these units, of `shape`."""
+        value = value.to(self.center).expand(self.shape)
+        deviation = value.std() if value.numel() > 1 else value.new_zeros(())
+        self.center.copy_(value.mean())
+        self.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)))
+        return (value - self.center) / self.scale
+
+
+@register("field", "pixels")
+class Pixels(StandardisedField):
+    """One free value for each element: the scene's pixels, or the level of each frame."""
+
+    def __init__(self, shape: Shape, neutral: float = 0.0) -> None:
+        super().__init__(shape, neutral)
+        self.values = nn.Parameter(torch.zeros(self.shape))
 
     def forward(self) -> Tensor:
         """`center + scale * values`."""
@@ -142,11 +164,7 @@ class Pixels(Field):
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Take the value over; its mean and deviation become centre and scale."""
-        value = value.to(self.values).expand(self.shape)
-        deviation = value.std() if value.numel() > 1 else value.new_zeros(())
-        self.center.copy_(value.mean())
-        self.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)))
-        self.values.copy_((value - self.center) / self.scale)
+        self.values.copy_(self.standardise(value))
 
 
 @register("field", "uniform")

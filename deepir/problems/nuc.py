@@ -54,10 +54,8 @@ class NUC(Recipe):
 
     def plan(self, problem: Any) -> Schedule:
         """Three rounds for the sensor, those that effects ask for, and the scene on all samples."""
-        closed = tuple(problem.closed_form())
-        free = tuple(name for name in problem.free() if name not in closed)
+        free, eliminate = self.split(problem)
         fixed = self.refined_last(problem)
-        eliminate = (Step(closed, "eliminate"),) if closed else ()
         fourier = all(map(has_fourier_model, problem.data_sets))
         frames = min(len(each.data) for each in problem.data_sets)
         short, long, last = ITERATIONS[fourier]
@@ -65,14 +63,19 @@ class NUC(Recipe):
             (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
         )
         first = (Step(tuple(name for name in free if name not in fixed)), *eliminate)
-        every = (Step(free), *eliminate)
-        final = (Step(tuple(problem.scenes)),)
         schedule = Schedule(
             [
                 Stage("sensor 1", first, short, tolerance=rough),
                 Stage("sensor 2", first, short, prepare=self.first_update, tolerance=rough),
-                Stage("sensor 3", every, long, prepare=self.update, tolerance=fine),
-                Stage("scene", final, last, prepare=self.finish, use_held_out=True, tolerance=scene),
+                Stage("sensor 3", (Step(free), *eliminate), long, prepare=self.update, tolerance=fine),
+                Stage(
+                    "scene",
+                    (Step(tuple(problem.scenes)),),
+                    last,
+                    prepare=self.finish,
+                    use_held_out=True,
+                    tolerance=scene,
+                ),
             ]
         )
         for effect in self.effects:

@@ -158,10 +158,8 @@ class DenseMotion(NUC):
             ConfigError: The motion is no flow, or fixed.
         """
         motion = _name(problem)
-        closed = tuple(problem.closed_form())
-        free = tuple(name for name in problem.free() if name not in closed)
+        free, eliminate = self.split(problem)
         still = tuple(name for name in free if name != motion)
-        eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if has_fourier_model(problem) else (25, 35)
         stages = [
             Stage("homography", (Step(still), *eliminate), short),

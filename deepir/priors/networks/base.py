@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Field, Shape
+from deepir.fields.base import Shape, StandardisedField
 
 
-class Network(Field):
+class Network(StandardisedField):
     """A scene `center + scale * draw()`, with the output of a network and mean and deviation of the initial scene.
 
     Args:
@@ -21,8 +18,6 @@ class Network(Field):
         bf16: Whether the layers are computed in bfloat16.
     """
 
-    center: Tensor
-    scale: Tensor
     start: Tensor
     can_represent = False
 
@@ -31,8 +26,6 @@ class Network(Field):
     ) -> None:
         super().__init__(shape, neutral)
         self.residual, self.bf16 = residual, bf16
-        self.register_buffer("center", torch.tensor(float(neutral)))
-        self.register_buffer("scale", torch.tensor(1.0))
         #: Initial scene, in units of the network.
         self.register_buffer("start", torch.zeros(self.shape))
 
@@ -42,7 +35,9 @@ class Network(Field):
 
     def forward(self) -> Tensor:
         """`center + scale * draw()`, with `residual` plus the initial scene."""
-        with self._computing():
+        wanted = self.bf16 and self.center.dtype == torch.float32
+        # Normalisation, sums and parameters stay float32.
+        with torch.autocast(self.center.device.type, torch.bfloat16, enabled=wanted):
             picture = self.draw()
         picture = picture.to(self.center.dtype)
         picture = picture + self.start if self.residual else picture
@@ -51,11 +46,7 @@ class Network(Field):
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Store mean, deviation and image as the initial scene; the network is unchanged."""
-        value = value.to(self.start).expand(self.shape)
-        deviation = value.std() if value.numel() > 1 else value.new_zeros(())
-        self.center.copy_(value.mean())
-        self.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)))
-        self.start.copy_((value - self.center) / self.scale)
+        self.start.copy_(self.standardise(value))
 
     def begin_at_start(self, last: nn.Linear | nn.Conv2d) -> None:
         """With `residual`, set the last layer to zero: the first output is the initial scene."""
@@ -63,10 +54,3 @@ class Network(Field):
             nn.init.zeros_(last.weight)
             if last.bias is not None:
                 nn.init.zeros_(last.bias)
-
-    @contextmanager
-    def _computing(self) -> Iterator[None]:
-        """In bfloat16 where that is wanted; normalisation, sums and parameters stay float32."""
-        wanted = self.bf16 and self.center.dtype == torch.float32
-        with torch.autocast(self.center.device.type, torch.bfloat16, enabled=wanted):
-            yield

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Shape, check_counts
+from deepir.fields.base import Shape, check_counts, check_positive
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
@@ -77,8 +77,7 @@ class Siren(Coordinates):
     ) -> None:
         super().__init__(shape, neutral, **options)
         check_counts(width=(width, 1024), depth=(depth, 32))
-        if not 0 < omega < float("inf"):
-            raise ValueError(f"omega must be a positive number, not {omega}")
+        check_positive(omega=omega)
         layers: list[nn.Module] = [Sine(2 if i == 0 else width, width, omega) for i in range(depth)]
         self.net = nn.Sequential(*layers, nn.Linear(width, shape[0]))
         with torch.no_grad():
@@ -199,8 +198,7 @@ class Fourier(Coordinates):
     ) -> None:
         super().__init__(shape, neutral, **options)
         check_counts(count=(count, 4096), width=(width, 1024), depth=(depth, 32))
-        if not 0 < bandwidth < float("inf"):
-            raise ValueError(f"bandwidth must be a positive number, not {bandwidth}")
+        check_positive(bandwidth=bandwidth)
         layers: list[nn.Module] = [Waves(count, bandwidth)]
         for i in range(depth):
             layers += [nn.Linear(2 * count if i == 0 else width, width), nn.ReLU()]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import torch
@@ -9,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from deepir.arrays.windows import squared_gradient
-from deepir.fields.base import Shape
+from deepir.fields.base import Shape, check_positive
 from deepir.kernels.dispatch import is_compiled
 from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
 from deepir.registry import register
@@ -35,6 +36,37 @@ class Tikhonov(Penalty):
         return 0.0, float(self.weight)
 
 
+class CompiledEnergy(torch.autograd.Function):
+    """An energy of a value, in one pass of a compiled loop over the rows, which finds the gradient as well.
+
+    `loop(first, last, picture, weight_map, *options, energy, gradient)`: see `deepir.kernels.gradients`.
+    """
+
+    @staticmethod
+    def forward(
+        ctx: Any, value: Tensor, weight_map: Tensor, loop: Callable[..., None], *options: Tensor | float
+    ) -> Tensor:
+        """The energy of a value (..., H, W), a float64 scalar."""
+        from deepir.kernels.compile import parallel_for
+
+        pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
+        weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()
+        given = [each.to(pictures).contiguous() if isinstance(each, Tensor) else each for each in options]
+        gradient = torch.empty_like(pictures)
+        energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
+        for i, picture in enumerate(pictures):
+            parallel_for(loop, len(picture), picture, weight_map, *given, energy[i], gradient[i])
+        ctx.save_for_backward(gradient.reshape(value.shape))
+        return energy.sum()
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+        """The gradient in the value alone."""
+        (found,) = ctx.saved_tensors
+        return gradient.to(found) * found, *(None for _ in ctx.needs_input_grad[1:])
+
+
 class SmoothedNorm(SpatiallyWeighted):
     """A sum of vector lengths, smoothed near zero for L-BFGS.
 
@@ -54,8 +86,7 @@ class SmoothedNorm(SpatiallyWeighted):
         self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.1
     ) -> None:
         super().__init__(shape, weight=weight)
-        if not 0 < rounding < float("inf"):
-            raise ValueError(f"rounding must be a positive number, not {rounding}")
+        check_positive(rounding=rounding)
         self.rounding = rounding
 
     @property
@@ -83,7 +114,11 @@ class TV(SmoothedNorm):
     def energy(self, value: Tensor) -> Tensor:
         """`Σ weight_map (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
         if is_compiled(value):
-            energy: Tensor = _CompiledEnergy.apply(value, self.weight_map, float(self.epsilon))
+            from deepir.kernels.gradients import total_variation
+
+            energy: Tensor = CompiledEnergy.apply(
+                value, self.weight_map, total_variation, float(self.epsilon)
+            )
             return energy
         return self.smoothed_l1(squared_gradient(value))
 
@@ -91,30 +126,6 @@ class TV(SmoothedNorm):
         """The mean of `weight weight_map / sqrt(|∇x|² + e²)`, of the gradient."""
         steep = (squared_gradient(value) + self.epsilon.square()).rsqrt()
         return 0.0, float((self.weight * self.weight_map * steep).mean())
-
-
-class _CompiledEnergy(torch.autograd.Function):
-    """The same in one pass, which finds the gradient as well."""
-
-    @staticmethod
-    def forward(ctx: Any, value: Tensor, weight_map: Tensor, rounding: float) -> Tensor:
-        from deepir.kernels.compile import parallel_for
-        from deepir.kernels.gradients import total_variation
-
-        pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
-        weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()
-        gradient = torch.empty_like(pictures)
-        energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
-        for i, picture in enumerate(pictures):
-            parallel_for(total_variation, len(picture), picture, weight_map, rounding, energy[i], gradient[i])
-        ctx.save_for_backward(gradient.reshape(value.shape))
-        return energy.sum()
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
-        (found,) = ctx.saved_tensors
-        return gradient.to(found) * found, None, None
 
 
 @register("penalty", "hessian")
@@ -146,8 +157,7 @@ class HuberTV(SpatiallyWeighted):
         self, shape: Shape | None = None, *, weight: float | None = None, threshold: float = 1.0
     ) -> None:
         super().__init__(shape, weight=weight)
-        if not 0 < threshold < float("inf"):
-            raise ValueError(f"threshold must be a positive number, not {threshold}")
+        check_positive(threshold=threshold)
         self.threshold = threshold
 
     def energy(self, value: Tensor) -> Tensor:
@@ -186,8 +196,7 @@ class TGV(SmoothedNorm):
         self, shape: Shape, *, weight: float | None = None, ratio: float = 1.0, rounding: float = 0.1
     ) -> None:
         super().__init__(shape, weight=weight, rounding=rounding)
-        if not 0 < ratio < float("inf"):
-            raise ValueError(f"ratio must be a positive number, not {ratio}")
+        check_positive(ratio=ratio)
         self.ratio = ratio
         #: Along y and x, in the unit: the value's spread, so that they move as its pixels do.
         self.slopes = nn.Parameter(torch.zeros(2, *shape))
