@@ -118,6 +118,11 @@ def cost_message(cost: float, n_frames: int) -> list[str]:
     ]
 
 
+def within(message: str, where: str) -> str:
+    """A message with the place that it is of."""
+    return message.within(where) if isinstance(message, Message) else f"{where}: {message}"
+
+
 def strengths(problem: Problem) -> dict[str, float]:
     """What was given or estimated: sigma of each part, weight of each penalty."""
     found = {}
