@@ -161,12 +161,9 @@ class Problem(nn.Module):
 
     def sensor_unknowns(self) -> dict[str, str]:
         """The unknowns of `gain`, `offset` and `level` of the sensor; empty without one."""
-        name = next((name for name, stage in self.operator.named() if isinstance(stage, Sensor)), None)
-        return (
-            {}
-            if name is None
-            else {slot: self.slots[f"{name}.{slot}"] for slot in ("gain", "offset", "level")}
-        )
+        stages = [name for name, stage in self.operator.named() if isinstance(stage, Sensor)]
+        kinds = ("gain", "offset", "level")
+        return {kind: self.slots[f"{name}.{kind}"] for name in stages[:1] for kind in kinds}
 
     def motion_unknown(self) -> str:
         """The unknown of the motion of the stage that moves with the camera; "" without one."""

@@ -140,7 +140,7 @@ class Affine(Motion):
 
 
 @register("field", "homography")
-class Homography(Motion):
+class Homography(Affine):
     """Any perspective map, 8 parameters a frame."""
 
     model, n_parameters = "homography", 8
@@ -152,8 +152,7 @@ class Homography(Motion):
 
     def parameters_of(self, t: Tensor) -> Tensor:
         """All entries but the last, which is one."""
-        linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
-        return torch.cat((t[:, :2, 2], self.radius * linear, self.radius**2 * t[:, 2, :2]), 1)
+        return torch.cat((super().parameters_of(t), self.radius**2 * t[:, 2, :2]), 1)
 
 
 @register("field", "auto")

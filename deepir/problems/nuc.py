@@ -63,19 +63,13 @@ class NUC(Recipe):
             (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
         )
         first = (Step(tuple(name for name in free if name not in fixed)), *eliminate)
+        final = (Step(tuple(problem.scenes)),)
         schedule = Schedule(
             [
                 Stage("sensor 1", first, short, tolerance=rough),
                 Stage("sensor 2", first, short, prepare=self.first_update, tolerance=rough),
                 Stage("sensor 3", (Step(free), *eliminate), long, prepare=self.update, tolerance=fine),
-                Stage(
-                    "scene",
-                    (Step(tuple(problem.scenes)),),
-                    last,
-                    prepare=self.finish,
-                    use_held_out=True,
-                    tolerance=scene,
-                ),
+                Stage("scene", final, last, prepare=self.finish, use_held_out=True, tolerance=scene),
             ]
         )
         for effect in self.effects:

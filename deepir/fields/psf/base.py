@@ -80,11 +80,9 @@ class PSF(Field):
     def search_starts(self) -> Iterator[dict[str, Tensor]]:
         """States from which a search for the parameters may begin: widths up to the radius."""
         count = math.ceil(math.log(self.shape[-1] / MIN_WIDTH) / math.log(self.search_ratio))
-        widths = [MIN_WIDTH * self.search_ratio**i for i in range(count + 1)]
-        for width in widths:
-            yield self.state_dict() | {
-                "value": torch.full_like(self.value, math.log(width) / self.preconditioning_scale)
-            }
+        for i in range(count + 1):
+            value = math.log(MIN_WIDTH * self.search_ratio**i) / self.preconditioning_scale
+            yield self.state_dict() | {"value": torch.full_like(self.value, value)}
 
     def _axis(self) -> Tensor:
         radius = self.shape[-1] // 2

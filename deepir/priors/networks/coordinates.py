@@ -31,12 +31,8 @@ class Coordinates(Network):
 
     def draw(self) -> Tensor:
         """The network at all pixels."""
-        return self.at(self.points).T.reshape(-1, 1, *self.shape[-2:])
-
-    def at(self, points: Tensor) -> Tensor:
-        """The network at points (n, 2), as (x, y): (n, S), in units of the scene's spread."""
-        value: Tensor = self.net(points)
-        return value
+        value: Tensor = self.net(self.points)
+        return value.T.reshape(-1, 1, *self.shape[-2:])
 
 
 class Sine(nn.Module):

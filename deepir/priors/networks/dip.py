@@ -77,16 +77,13 @@ class DIP(Network):
             start = F.pad(self.start[:, :1], (0, beyond[1], 0, beyond[0]), mode="replicate")
             x = torch.cat((x, start), 1)
         if self.perturb and torch.is_grad_enabled():
-            x = x + self.perturb * self._fresh(x)
+            # By how often it was drawn alone, so that a resumed solve takes the same steps.
+            generator = torch.Generator().manual_seed(int(self.drawn))
+            self.drawn += 1
+            x = x + self.perturb * torch.randn(x.shape, generator=generator).to(x)
         picture: Tensor = self.net(x.contiguous(memory_format=torch.channels_last))
         picture = picture[..., : self.shape[-2], : self.shape[-1]]
         return 8 * picture.float().sigmoid() - 4 if self.sigmoid else picture
-
-    def _fresh(self, like: Tensor) -> Tensor:
-        """Noise that depends on how often it was drawn alone, so that a resumed solve takes the same steps."""
-        generator = torch.Generator().manual_seed(int(self.drawn))
-        self.drawn += 1
-        return torch.randn(like.shape, generator=generator).to(like)
 
 
 @register("field", "deep_decoder")
