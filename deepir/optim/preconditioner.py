@@ -169,10 +169,9 @@ class Preconditioner:
         high_frequencies_only: bool = False,
     ) -> None:
         # The last field that has a parameter is the member of a sum, not the sum.
-        leaves = [
-            each for each in problem.fields.values() for each in each.modules() if isinstance(each, Field)
-        ]
-        fields = {id(p): field for field in leaves for p in field.parameters()}
+        parts = [part for field in problem.fields.values() for part in field.modules()]
+        leaves = [part for part in parts if isinstance(part, Field)]
+        fields = {id(p): leaf for leaf in leaves for p in leaf.parameters()}
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
