@@ -26,8 +26,7 @@ import deepir
 from deepir.effects.noise import update_noise
 from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
-from deepir.fields.dense_motion import Flow
-from deepir.fields.motion import Homography
+from deepir.fields.motion import Flow, Homography
 from deepir.metrics import scores
 from deepir.operators import Chain, Sensor, Warp
 from deepir.operators.motion_models import displacements

@@ -31,11 +31,10 @@ class JointProblem(nn.Module):
         super().__init__()
         self.first, self.others = first, nn.ModuleDict(others)
         known: dict[Field, str] = {}
-        self._names: list[dict[str, str]] = []
-        for prefix, each in (("", first), *((f"{name}_", one) for name, one in others.items())):
-            self._names.append(
-                {own: known.setdefault(field, prefix + own) for own, field in each.fields.items()}
-            )
+        self._names = [
+            {own: known.setdefault(field, prefix + own) for own, field in each.fields.items()}
+            for prefix, each in (("", first), *((f"{name}_", one) for name, one in others.items()))
+        ]
         for each in self.data_sets:
             mine = _sensor_fields(each)
             same = (other for other in self.data_sets if mine and _sensor_fields(other) == mine)
@@ -65,11 +64,7 @@ class JointProblem(nn.Module):
     @property
     def penalties(self) -> dict[str, Mapping[str, Penalty]]:
         """The penalties of each unknown that has any."""
-        found: dict[str, Mapping[str, Penalty]] = {}
-        for each, own, name in self._firsts():
-            if own in each.penalties:
-                found[name] = each.penalties[own]
-        return found
+        return {name: each.penalties[own] for each, own, name in self._firsts() if own in each.penalties}
 
     def names_in(self, data_set: Problem) -> dict[str, str]:
         """Names of a data set's unknowns, and their names in the whole problem."""

@@ -11,6 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from deepir.closed_form.normal_equations import weighted_least_squares
+from deepir.fields.base import check_positive
 from deepir.registry import register
 
 #: Fraction of negative samples from which data cannot be photon counts.
@@ -62,8 +63,7 @@ class Huber(Fidelity):
 
     def __init__(self, *, threshold: float = 1.345) -> None:
         super().__init__()
-        if not 0 < threshold < float("inf"):
-            raise ValueError(f"threshold must be a positive number, not {threshold}")
+        check_positive(threshold=threshold)
         self.threshold = threshold
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:

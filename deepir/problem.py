@@ -161,12 +161,9 @@ class Problem(nn.Module):
 
     def sensor_unknowns(self) -> dict[str, str]:
         """The unknowns of `gain`, `offset` and `level` of the sensor; empty without one."""
-        name = next((name for name, stage in self.operator.named() if isinstance(stage, Sensor)), None)
-        return (
-            {}
-            if name is None
-            else {slot: self.slots[f"{name}.{slot}"] for slot in ("gain", "offset", "level")}
-        )
+        stages = [name for name, stage in self.operator.named() if isinstance(stage, Sensor)]
+        kinds = ("gain", "offset", "level")
+        return {kind: self.slots[f"{name}.{kind}"] for name in stages[:1] for kind in kinds}
 
     def motion_unknown(self) -> str:
         """The unknown of the motion of the stage that moves with the camera; "" without one."""
@@ -351,19 +348,24 @@ class Problem(nn.Module):
         Returns the posterior variance of each part, by unknown, see `deepir.closed_form.variable_projection`. `flux`
         and `precision` spare their computation where they are known.
         """
-        found = self._solved(values, group, flux, self.fitted() if precision is None else precision)
+        found = self.solved(values, group, flux=flux, precision=precision)
         return dict(zip(list(self.sensor_unknowns().values())[:2], found.posterior_variances(), strict=True))
 
     @torch.no_grad()
-    def solved(self, values: Values, group: Collection[str], *, flux: Tensor | None = None) -> Elimination:
-        """Posterior of gain and offset given the others, from the samples that are fitted."""
-        return self._solved(values, group, flux, self.fitted())
-
-    def _solved(
-        self, values: Values, group: Collection[str], flux: Tensor | None, precision: Tensor
+    def solved(
+        self,
+        values: Values,
+        group: Collection[str],
+        *,
+        flux: Tensor | None = None,
+        precision: Tensor | None = None,
     ) -> Elimination:
-        """From the samples of this data set, and from those of all that show the same sensor."""
-        samples = [self.samples(values, group, self.flux(values) if flux is None else flux, precision)]
+        """Posterior of gain and offset given the others, from the samples that are fitted.
+
+        Also from those of all data sets that show the same sensor. For `flux` and `precision` see `eliminate`.
+        """
+        flux = self.flux(values) if flux is None else flux
+        samples = [self.samples(values, group, flux, self.fitted() if precision is None else precision)]
         slots = [slot for slot, name in self.sensor_unknowns().items() if name in group]
         for other in self.same_sensor:
             theirs, names = other.values(), [other.sensor_unknowns()[slot] for slot in slots]

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,9 +21,6 @@ from deepir.messages import Message
 from deepir.metrics import motion_error, scores
 from deepir.operators.warp import rescale_motion
 from deepir.paths import expanded
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Array = np.ndarray[Any, Any]
 
@@ -118,10 +115,8 @@ class Result:
         names = ("scene", "gain", "offset", "motion", "level", "bad_pixels", "frames_used")
         return {name: getattr(self, name) for name in names} | self.extra
 
-    def tensors(self, like: Tensor) -> dict[str, Tensor]:
+    def tensors(self, like: torch.Tensor) -> dict[str, torch.Tensor]:
         """All arrays by name as tensors, on the device of `like`; real ones in its dtype, if that is real."""
-        import torch
-
         found = {name: torch.as_tensor(array, device=like.device) for name, array in self.arrays().items()}
         both = like.is_floating_point()
         return {

@@ -57,25 +57,13 @@ def build_data_sets(
     for name, own, frames in sets:
         shared = name in sharing
         given = known if shared else {key: field for key, field in known.items() if key != "scene"}
-        problem, places[name] = _built(name, own, frames, motions[name], given, canvas if shared else None)
-        problems[name] = problem
+        place = canvas if shared else None
+        try:
+            problems[name], places[name] = build(own, frames, motions[name], known=given, canvas=place)
+        except ConfigError as error:
+            if name == FIRST:
+                raise
+            raise ConfigError(f"datasets.{name}: {error}") from error
         prefix = f"{name}_" if name else ""
-        known = {prefix + key: field for key, field in problem.fields.items()} | known
+        known = {prefix + key: field for key, field in problems[name].fields.items()} | known
     return problems, places
-
-
-def _built(
-    name: str,
-    config: Config,
-    burst: Burst,
-    motion: Tensor | None,
-    known: Mapping[str, Field] | None = None,
-    canvas: Canvas | None = None,
-) -> tuple[Problem, Geometry]:
-    """One data set; errors name it."""
-    try:
-        return build(config, burst, motion, known=known, canvas=canvas)
-    except ConfigError as error:
-        if name == FIRST:
-            raise
-        raise ConfigError(f"datasets.{name}: {error}") from error

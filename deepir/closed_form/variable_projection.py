@@ -124,7 +124,9 @@ def eliminate(
         _LineEquations(pixels.column_sums, sigma[COLUMN]),
         _LineEquations(pixels.row_sums, sigma[ROW]),
     )
-    smooth = _ShadingEquations(_shading(parts), sigma[SHADING], pixels, columns)
+    # One of the shading parts: their terms are the same.
+    shading = next((part for each in parts if isinstance(part := each.get(SHADING), Shading)), None)
+    smooth = _ShadingEquations(shading, sigma[SHADING], pixels, columns)
     finite = _solve(columns, rows, smooth, pixels)
     # Flux that is not a number spreads to a column: the trial went too far, and what was found before stays.
     white = [
@@ -136,7 +138,7 @@ def eliminate(
     errors, values = pixels.back_substitute(
         columns.values, smooth.in_rows(), rows.weights, start, (white[0], white[1])
     )
-    rows.white = rows.multiply_inverse(rows.sigma * errors)
+    rows.white = multiply_symmetric(rows.inverse, rows.sigma * errors)
     solved: dict[Kind, PixelEquations | _LineEquations | _ShadingEquations]
     solved = {PIXEL: pixels, COLUMN: columns, ROW: rows, SHADING: smooth}
     for i, maps_of in enumerate(parts):
@@ -170,9 +172,6 @@ class _LineEquations:
         """`L^-1`, (2, 2, lines), of the lower triangles L of Cholesky: `L L'` is the block of each line."""
         (aa, ab), last = self.block, self.inverse[2].sqrt()
         return torch.stack((aa.rsqrt(), torch.zeros_like(aa), -ab / aa * last, last)).unflatten(0, (2, 2))
-
-    def multiply_inverse(self, x: Tensor) -> Tensor:
-        return multiply_symmetric(self.inverse, x)
 
     @property
     def values(self) -> Tensor:
@@ -269,11 +268,6 @@ def _by_kind(parts: Sequence[GaussianMap]) -> dict[Kind, GaussianMap]:
             "pixels, columns, rows and shading has one"
         )
     return found
-
-
-def _shading(parts: Sequence[dict[Kind, GaussianMap]]) -> Shading | None:
-    """One of the shading parts, whose terms are the same; None if there is none."""
-    return next((part for each in parts if isinstance(part := each.get(SHADING), Shading)), None)
 
 
 def _sigmas(parts: Sequence[dict[Kind, GaussianMap]], device: torch.device) -> Tensor:

@@ -1,1 +1,1 @@
-"""Fields: how unknowns are represented. One a file; a new file is found by itself."""
+"""Fields: how unknowns are represented. A new file is found by itself."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor, nn
 
@@ -65,6 +67,7 @@ class BasisExpansion(GaussianField):
 class DCT(BasisExpansion):
     """Cosines of up to `order` half waves over the longer side, without the constant: a smooth map."""
 
+    example_options: ClassVar = {"order": 3, "sigma": 0.1}
     basis_y: Tensor
     basis_x: Tensor
     order_y: Tensor
@@ -110,11 +113,6 @@ class DCT(BasisExpansion):
             table[self.order_y, self.order_x] * self.frequency.square() / self.preconditioning_scale
         )
 
-    @classmethod
-    def example(cls) -> DCT:
-        """A map of 6 x 7 px."""
-        return cls((1, 1, 6, 7), order=3, sigma=0.1)
-
 
 def _cosines(side: int, count: int) -> Tensor:
     """(count, side), of mean square one."""
@@ -138,6 +136,7 @@ class Radial(BasisExpansion):
         sigma: Standard deviation of the coefficients, data units; estimated if None.
     """
 
+    example_options: ClassVar = {"order": 3, "centre": (0.5, -1.0), "sigma": 0.1}
     profile: Tensor
     radius_index: Tensor
     radius_fraction: Tensor
@@ -168,8 +167,3 @@ class Radial(BasisExpansion):
             profile[self.radius_index], profile[self.radius_index + 1], self.radius_fraction.to(profile)
         )
         return found - found.mean()
-
-    @classmethod
-    def example(cls) -> Radial:
-        """A map of 6 x 7 px."""
-        return cls((1, 1, 6, 7), order=3, centre=(0.5, -1.0), sigma=0.1)

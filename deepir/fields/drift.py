@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -51,6 +52,8 @@ class Drift(GaussianField):
         ValueError: `shape` is not one value for each frame.
     """
 
+    example_shape = (3, 1, 1, 1)
+    example_options: ClassVar = {"sigma": 0.5}
     level_offsets: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
@@ -86,8 +89,3 @@ class Drift(GaussianField):
             if self.sigma > 0
             else None
         )
-
-    @classmethod
-    def example(cls) -> Drift:
-        """The levels of three frames."""
-        return cls((3, 1, 1, 1), sigma=0.5)

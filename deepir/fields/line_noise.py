@@ -25,6 +25,8 @@ class LineNoise(GaussianField):
     Source: D'Agostino and Webb 1991, "Three-dimensional analysis framework for infrared imaging system noise".
     """
 
+    example_shape = (3, 1, 1, 1)
+    example_options: ClassVar = {"size": (4, 5), "sigma": 0.5}
     #: Axis across the lines: -2 for rows, -1 for columns.
     line_axis: ClassVar[int]
     #: Name of the lines in messages.
@@ -73,11 +75,6 @@ class LineNoise(GaussianField):
         return float(self.preconditioning_scale) ** 2 * (
             precision / self.shape[self.line_axis] + float(self.sigma) ** -2
         )
-
-    @classmethod
-    def example(cls) -> LineNoise:
-        """Three frames of 4 x 5 px."""
-        return cls((3, 1, 1, 1), size=(4, 5), sigma=0.5)
 
 
 @register("field", "row_noise")

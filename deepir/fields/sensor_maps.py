@@ -29,6 +29,7 @@ class GaussianMap(Field):
         ValueError: `sigma` is negative or not finite.
     """
 
+    example_options: ClassVar = {"neutral": 1.0, "sigma": 0.1}
     constant_axes: ClassVar[tuple[int, ...]] = ()
     center: Tensor
     sigma: Tensor
@@ -82,11 +83,6 @@ class GaussianMap(Field):
     def parts(self) -> Sequence[GaussianMap]:
         """The part itself."""
         return (self,)
-
-    @classmethod
-    def example(cls) -> GaussianMap:
-        """A map of 6 x 7 px."""
-        return cls((1, 1, 6, 7), 1.0, sigma=0.1)
 
 
 @register("field", "column")

@@ -150,11 +150,6 @@ class Shading(GaussianMap):
         terms = self.analyse(whole) / whole.numel()
         self.whitened.copy_(terms / self.prior_sigma if self.sigma > 0 else torch.zeros_like(terms))
 
-    @classmethod
-    def example(cls) -> Shading:
-        """A map of 6 x 7 px."""
-        return cls((1, 1, 6, 7), 1.0, sigma=0.1)
-
 
 @functools.lru_cache(maxsize=16)  # a run builds its problem twice, for gain and offset
 def _tables(side: int, degree: int) -> tuple[Tensor, ...]:

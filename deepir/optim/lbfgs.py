@@ -144,17 +144,13 @@ class LBFGS(Optimiser):
             step = (low + high) / 2 if high < float("inf") else 2 * low
         return best if best is None else (best[0], *self._at(best[0]))
 
+    @torch.no_grad()
     def _at(self, x: Tensor) -> tuple[float, Tensor]:
-        self._set(x)
+        pieces = x.split([p.numel() for p in self.parameters])
+        for parameter, piece in zip(self.parameters, pieces, strict=True):
+            parameter.copy_(piece.reshape(parameter.shape))
         value, gradients = self.gradient()
         return value, self._flat(gradients)
-
-    @torch.no_grad()
-    def _set(self, x: Tensor) -> None:
-        for parameter, piece in zip(
-            self.parameters, x.split([p.numel() for p in self.parameters]), strict=True
-        ):
-            parameter.copy_(piece.reshape(parameter.shape))
 
     @staticmethod
     def _flat(tensors: Sequence[Tensor]) -> Tensor:

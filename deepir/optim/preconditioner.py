@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,10 +13,9 @@ from deepir.arrays.statistics import median_sigma
 from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
-from deepir.fields.dense_motion import Flow
 from deepir.fields.drift import Drift
 from deepir.fields.line_noise import LineNoise
-from deepir.fields.motion import Motion
+from deepir.fields.motion import Flow, Motion
 from deepir.joint_problem import AnyProblem
 from deepir.operators import Lag, Sensor
 from deepir.optim.fourier_hessian import (
@@ -84,15 +83,15 @@ class BlockPreconditioner:
         """The approximate inverse Hessian times a flat gradient."""
         given, found = slope.split(self.sizes), torch.zeros_like(slope)
         mine = [[given[i] for i in each.at] for each in self.blocks]
-        solved = self._of_one_sensor(mine) if self.one_sensor else self._apart(mine)
+        if self.one_sensor:
+            solved = self._of_one_sensor(mine)
+        else:
+            solved = [_solved(each.free, one) for each, one in zip(self.blocks, mine, strict=True)]
         into = found.split(self.sizes)
         for each, parts in zip(self.blocks, solved, strict=True):
             for i, part in zip(each.at, parts, strict=True):
                 into[i].copy_(part)
         return found
-
-    def _apart(self, slopes: Sequence[Sequence[Tensor]]) -> list[list[Tensor]]:
-        return [_solved(each.free, mine) for each, mine in zip(self.blocks, slopes, strict=True)]
 
     def _of_one_sensor(self, slopes: Sequence[Sequence[Tensor]]) -> list[list[Tensor]]:
         """The scenes' mean and the levels of frames behind a free pattern, all else behind a known one."""
@@ -169,7 +168,10 @@ class Preconditioner:
         *,
         high_frequencies_only: bool = False,
     ) -> None:
-        fields = {id(p): field for field in leaf_fields(problem) for p in field.parameters()}
+        # The last field that has a parameter is the member of a sum, not the sum.
+        parts = [part for field in problem.fields.values() for part in field.modules()]
+        leaves = [part for part in parts if isinstance(part, Field)]
+        fields = {id(p): leaf for leaf in leaves for p in leaf.parameters()}
         mine = [fields[id(p)] for p in parameters]
         self.sizes = [p.numel() for p in parameters]
         self.scene = next(i for i, field in enumerate(mine) if field is problem.fields["scene"])
@@ -232,12 +234,6 @@ class Preconditioner:
         return found
 
 
-def leaf_fields(problem: Problem) -> Iterator[Field]:
-    """All fields of a problem, the members of sums included."""
-    for field in problem.fields.values():
-        yield from (module for module in field.modules() if isinstance(module, Field))
-
-
 def make_preconditioner(
     problem: Problem,
     parameters: Sequence[nn.Parameter],
@@ -293,6 +289,8 @@ def _tensors(
     pattern, weak = pattern_variances(problem, eliminated), additive_variances(problem, eliminated)
     waves, mean = _clamped_curvature(problem, precision, weak, MIN_SCENE_CURVATURE_RATIO)
     slopes = float(squared_gradient(problem.operator.to_pixels(value)).mean()) / 2
+    lags = [name for name, stage in problem.operator.named() if isinstance(stage, Lag)]
+    time_constants = [p for name in lags for p in problem.field_of(f"{name}.tau").parameters()]
     scales = []
     for field, parameter in zip(fields, parameters, strict=True):
         curvature = 0.0
@@ -300,10 +298,12 @@ def _tensors(
             curvature = field.preconditioning_scale**2 * (precision * field.n_samples_affected) * slopes
         elif isinstance(field, LineNoise):
             curvature = field.curvature(precision * problem.data[0].numel())
-        if _is_time_constant(problem, parameter):
+        if any(parameter is each for each in time_constants):
             curvature = _measured_curvature(problem, parameter)
         scales.append(1 / curvature if curvature > 0 else 1 / mean)
-    found = {"spectrum": waves.reciprocal().to(value), "sample_scale": _sample_scale(problem, precision)}
+    # The inverse square root of the relative information on each pixel of the scene.
+    samples = _information(problem, precision).clamp_(*INFORMATION_RANGE).rsqrt_()
+    found = {"spectrum": waves.reciprocal().to(value), "sample_scale": samples}
     found["scales"] = torch.tensor(scales)
     if pattern != weak:
         lines = (
@@ -333,11 +333,6 @@ def _clamped_curvature(
     return found, mean
 
 
-def _sample_scale(problem: Problem, precision: float) -> Tensor:
-    """Inverse square root of the relative information on each pixel of the scene, (H, W)."""
-    return _information(problem, precision).clamp_(*INFORMATION_RANGE).rsqrt_()
-
-
 def _information(problem: Problem, precision: float) -> Tensor:
     """Information of the samples on each pixel of the scene, relative to samples of this precision, (H, W)."""
     return scene_information(problem)[0, 0].div_(precision * len(problem.data))
@@ -348,12 +343,6 @@ def scene_information(problem: Problem) -> Tensor:
     slots = {slot: problem.fields[name]() for slot, name in problem.slots.items()}
     weighed = problem.precision * slots.get(problem.slot(Sensor, "gain"), 1.0)  # once more by the adjoint
     return problem.operator.adjoint(weighed, (1, 1, *problem.fields["scene"].shape[-2:]), **slots)
-
-
-def _is_time_constant(problem: Problem, parameter: nn.Parameter) -> bool:
-    """Whether a parameter belongs to the time constant of a lag."""
-    slots = [f"{name}.tau" for name, stage in problem.operator.named() if isinstance(stage, Lag)]
-    return any(parameter is each for slot in slots for each in problem.field_of(slot).parameters())
 
 
 def _measured_curvature(problem: Problem, parameter: nn.Parameter) -> float:

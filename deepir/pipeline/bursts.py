@@ -24,7 +24,7 @@ from deepir.optim.objective import Checkpoint
 from deepir.optim.solve import Progress, Solution
 from deepir.pipeline.collect import make_result
 from deepir.pipeline.data_sets import solve_jointly
-from deepir.pipeline.register import motion_model, register_frames
+from deepir.pipeline.register import frames_of_burst, motion_model, register_frames
 from deepir.pipeline.schedule import given_noise, make_recipe
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
@@ -136,24 +136,17 @@ def _best_burst(
         first = part.start + (len(part) - (frames - 1) * spacing) // 2
         numbers = first + spacing * np.arange(frames)
         spacing *= 2
-        some = _selected(burst, numbers)
+        some = frames_of_burst(burst, numbers)
         try:
             motion, used, messages = register_frames(some, config, recipe)
         except DataError:
             continue
         assert motion is not None
-        found = RegisteredBurst(numbers[used], _selected(some, used), motion[used], messages)
+        found = RegisteredBurst(numbers[used], frames_of_burst(some, used), motion[used], messages)
         if best is not None and len(found.numbers) * found.span <= len(best.numbers) * best.span:
             break
         best = found
     return best
-
-
-def _selected(burst: Burst, which: np.ndarray) -> Burst:
-    clipped = None if burst.clipped is None else burst.clipped[which]
-    return dataclasses.replace(
-        burst, frames=burst.frames[which], valid=burst.valid[which], clipped=clipped, beside=None
-    )
 
 
 def share_camera(first: Problem, other: Problem) -> None:

@@ -69,7 +69,14 @@ def make_result(
         result.offset = (result.offset - (result.gain - 1) * reference).astype(np.float32)
     maps = uncertainty(problem, 0.0 if math.isnan(cost) else cost)
     result.uncertainty = maps | {"scene": geometry.crop(maps["scene"])}
-    result.messages += cost_message(cost, len(problem.data))
+    if cost > REPORTED_PATTERN_COST:
+        result.messages += [
+            Message(
+                "pattern-cost",
+                f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {len(problem.data)} "
+                "frames show of the scene: take more frames, or move further, in x and in y",
+            )
+        ]
     result.metrics = {
         "iterations": solution.iterations,
         "evaluations": solution.evaluations,
@@ -105,17 +112,9 @@ def mark_unseen(result: Result, unseen: Array) -> Result:
     return result
 
 
-def cost_message(cost: float, n_frames: int) -> list[str]:
-    """A message if the unknown pattern costs a good part of what the frames show of the scene."""
-    if not cost > REPORTED_PATTERN_COST:
-        return []
-    return [
-        Message(
-            "pattern-cost",
-            f"separating the sensor's pattern from the scene costs {cost:.1f} dB of what {n_frames} frames show of the "
-            "scene: take more frames, or move further, in x and in y",
-        )
-    ]
+def within(message: str, where: str) -> str:
+    """A message with the place that it is of."""
+    return message.within(where) if isinstance(message, Message) else f"{where}: {message}"
 
 
 def strengths(problem: Problem) -> dict[str, float]:

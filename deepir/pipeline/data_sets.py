@@ -7,7 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,12 +15,11 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import DataError
 from deepir.joint_problem import JointProblem
-from deepir.messages import Message
 from deepir.operators.motion_models import Geometry, homographies
 from deepir.optim.objective import Checkpoint, has_held_out, hold_out
 from deepir.optim.solve import Solution, solve
-from deepir.pipeline.collect import make_result
-from deepir.pipeline.register import motion_model, register_frames
+from deepir.pipeline.collect import make_result, within
+from deepir.pipeline.register import frames_of_burst, motion_model, register_frames
 from deepir.pipeline.schedule import given_noise, make_recipe, network_message, plan
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
@@ -39,8 +37,8 @@ def solve_data_sets(
     for name, own, frames in data_sets(config, burst):
         motion, used[name], found = register_frames(frames, own, recipe)
         motions[name] = None if motion is None else motion[used[name]]
-        kept[name] = _of_frames(frames, used[name])
-        messages += [_within(name, line) for line in found]
+        kept[name] = frames_of_burst(frames, used[name])
+        messages += found if name == FIRST else [within(line, f"data set '{name}'") for line in found]
     others = {name: each for name, each in kept.items() if name != FIRST}
     several = dataclasses.replace(kept[FIRST], datasets=others)
 
@@ -82,19 +80,6 @@ def solve_jointly(
     messages = network_message(problem, stages)
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     return solution, messages + recipe.warnings(problem, complete=config.solver.max_iterations is None)
-
-
-def _within(name: str, message: str) -> str:
-    """A message with the name of its data set, but for the first."""
-    where = f"data set '{name}'"
-    if name == FIRST:
-        return message
-    return message.within(where) if isinstance(message, Message) else f"{where}: {message}"
-
-
-def _of_frames(burst: Burst, used: np.ndarray) -> Burst:
-    clipped = None if burst.clipped is None else burst.clipped[used]
-    return dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used], clipped=clipped)
 
 
 @torch.no_grad()

@@ -22,7 +22,7 @@ from deepir.optim.objective import Checkpoint, hold_out
 from deepir.optim.solve import Progress, solve
 from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
 from deepir.pipeline.data_sets import solve_data_sets
-from deepir.pipeline.register import motion_messages, register_frames
+from deepir.pipeline.register import frames_of_burst, motion_messages, register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.pipeline.schedule import (
     given_noise,
@@ -71,8 +71,7 @@ def solve_burst(
         motion, taken = interpolate_missing_motion(motion, used)
         messages += interpolation_message(used, taken)
     valid = burst.valid & used[:, None, None]
-    clipped = None if burst.clipped is None else burst.clipped[taken]
-    kept = dataclasses.replace(burst, frames=burst.frames[taken], valid=valid[taken], clipped=clipped)
+    kept = frames_of_burst(dataclasses.replace(burst, valid=valid), taken)
     problem, geometry = build(config, kept, None if motion is None else motion[taken])
     problem = problem.to(config.device)
     if burst.motion is not None and motion is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -37,7 +39,9 @@ def register_frames(
         known = np.asarray(np.isfinite(burst.motion).all((1, 2)))
         return torch.from_numpy(burst.motion), known, []
     ignore, valid = torch.from_numpy(burst.bad_pixels), torch.from_numpy(burst.valid | burst.bad_pixels)
-    frames = _whole(burst)
+    frames = torch.from_numpy(burst.frames)
+    if not burst.valid.all():  # zeros would stand out
+        frames = fill_nearest(frames[:, None], torch.from_numpy(burst.valid)[:, None])[:, 0]
     part = longest_shutter_segment(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
     found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
     drawn = (frames == frames[0]).all(0)
@@ -68,15 +72,23 @@ def register_frames(
                 "modelled. Record progressive frames, or keep every second row: frames[:, ::2]",
             )
         ]
-    if recipe.motion:
-        _demand_motion(motion[kept], burst)
+    at = _places(motion[kept], burst.size)
+    if recipe.motion and (at - at[0]).abs().amax() < MAX_STILL_MOTION:
+        raise DataError(
+            f"{burst.source}: the frames do not move as a whole, or show too little to register, so that scene and "
+            "fixed pattern cannot be separated. Move the camera between frames, by 3 to 10 px in x and in y, "
+            "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
+            "data.mask"
+        )
     return motion, used, messages
 
 
-def _whole(burst: Burst) -> Tensor:
-    """The frames (N, h, w), samples that are not valid like their nearest neighbour that is: zeros would stand out."""
-    frames, valid = torch.from_numpy(burst.frames), torch.from_numpy(burst.valid)
-    return frames if valid.all() else fill_nearest(frames[:, None], valid[:, None])[:, 0]
+def frames_of_burst(burst: Burst, which: np.ndarray) -> Burst:
+    """Some frames of a burst, by a mask (N,) or their numbers, without those beside it."""
+    clipped = None if burst.clipped is None else burst.clipped[which]
+    return dataclasses.replace(
+        burst, frames=burst.frames[which], valid=burst.valid[which], clipped=clipped, beside=None
+    )
 
 
 def motion_model(config: Config) -> str | None:
@@ -89,19 +101,6 @@ def motion_model(config: Config) -> str | None:
         if settings.get("init", "register" if model else None) == "register":
             return str(model or kind)
     return None
-
-
-def _demand_motion(motion: Tensor, burst: Burst) -> None:
-    """Raise `DataError` if the burst stands still."""
-    at = _places(motion, burst.size)
-    moved = (at - at[0]).abs().amax()
-    if moved < MAX_STILL_MOTION:
-        raise DataError(
-            f"{burst.source}: the frames do not move as a whole, or show too little to register, so that scene and "
-            "fixed pattern cannot be separated. Move the camera between frames, by 3 to 10 px in x and in y, "
-            "over something with edges; what stands still before it (a bonnet, a frame) is left out by data.crop or "
-            "data.mask"
-        )
 
 
 def motion_messages(motion: Tensor, size: tuple[int, int]) -> list[str]:

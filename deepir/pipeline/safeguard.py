@@ -54,10 +54,16 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool
     only in a result of `registered` frames. A result that is not `trusted` gives way to the first frame as it is, where
     nothing else takes its place.
     """
-    kept = result if trusted else _uncorrected(result, burst)
+    one, zero = np.ones(burst.size), np.zeros(burst.size)
+    kept = result
+    if not trusted:
+        message = Message(
+            "motion-not-trusted",
+            "the motion is not to be trusted: the result has no correction, and is the first frame as it is",
+        )
+        kept = _replaced(result, burst, one, zero, message)
     scorer = _scorer(burst, [(result.gain, result.offset)], result.level)
     found = _candidates("gain and offset as estimated", scorer, burst, result.gain, result.offset)
-    one, zero = np.ones(burst.size), np.zeros(burst.size)
     raw, shared = _candidates("no correction", scorer, burst, one, zero), scorer.score(one, scorer.shared)
     if found is None or raw is None or shared is None:
         return kept
@@ -111,15 +117,6 @@ def unregistered(burst: Burst, refusal: DataError) -> Result:
         f"pattern of {_said(best.residual)}, uncorrected frames {_said(raw.whole.residual)}{_more_frames(burst)}",
     )
     return _replaced(result, burst, best.gain, best.offset, message)
-
-
-def _uncorrected(result: Result, burst: Burst) -> Result:
-    """The first frame as it is, in place of a result whose motion is not to be trusted; its messages say why."""
-    message = Message(
-        "motion-not-trusted",
-        "the motion is not to be trusted: the result has no correction, and is the first frame as it is",
-    )
-    return _replaced(result, burst, np.ones(burst.size), np.zeros(burst.size), message)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from deepir.io.frames import select_frames
 from deepir.joint_problem import AnyProblem
 from deepir.messages import Message
 from deepir.operators.warp import rescale_motion
+from deepir.pipeline.collect import within
 from deepir.pipeline.prior_refinement import PriorRefinement
 from deepir.problem import NoiseModel, Problem
 from deepir.problems.recipe import Recipe
@@ -229,11 +230,7 @@ def _stacked(results: list[Result], lead: int) -> Result:
         extra={name: np.stack([each.extra[name] for each in results]) for name in sorted(shared)},
         uncertainty={name: np.stack([each.uncertainty[name] for each in results]) for name in sorted(spread)},
         metrics=first.metrics | {"clearest_band": lead, "bands": [each.metrics for each in results]},
-        messages=[
-            text.within(f"band {c}") if isinstance(text, Message) else f"band {c}: {text}"
-            for c, each in enumerate(results)
-            for text in each.messages
-        ],
+        messages=[within(line, f"band {c}") for c, each in enumerate(results) for line in each.messages],
     )
     for name in OWN:
         setattr(whole, name, np.stack([getattr(each, name) for each in results]))

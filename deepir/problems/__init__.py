@@ -1,1 +1,1 @@
-"""Problem definitions: how a problem is started, solved and reported. One a file; a new file is found by itself."""
+"""Problem definitions: how a problem is started, solved and reported. A new file is found by itself."""

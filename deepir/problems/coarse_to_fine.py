@@ -167,7 +167,10 @@ def gauss_newton_motion_step(problem: Problem) -> float:
     where there is more before the sensor than a camera that moves, and where its motion is fixed.
     """
     first, *others = (stage for _, stage in problem.operator.named())
-    if not (first.moves and all(stage.pointwise for stage in others) and _is_free(motion_of(problem))):
+    if not (first.moves and all(stage.pointwise for stage in others)):
+        return 0.0
+    motion = motion_of(problem)
+    if not (isinstance(motion, Motion) and any(p.requires_grad for p in motion.parameters())):
         return 0.0
     values = problem.values()
     flux, rest = problem.flux(values), problem.data - problem.predict(values)
@@ -187,7 +190,3 @@ def gauss_newton_motion_step(problem: Problem) -> float:
     normal += ridge * torch.eye(3, device=flux.device)
     steps = torch.linalg.solve(normal, torch.einsum("kis,ks,ks->ki", slopes, weight, apart))
     return float(steps.abs().sum(1).max())
-
-
-def _is_free(field: Field) -> bool:
-    return isinstance(field, Motion) and any(p.requires_grad for p in field.parameters())

@@ -115,10 +115,7 @@ def start_motion(problem: Problem) -> None:
 
 def path_of(problem: Problem) -> Trajectory:
     """The instants at which the warp shows the scene."""
-    path: Trajectory = next(
-        stage for _, stage in problem.operator.named() if isinstance(stage, Warp)
-    ).instants
-    return path
+    return next(stage.instants for _, stage in problem.operator.named() if isinstance(stage, Warp))
 
 
 @torch.no_grad()
@@ -149,19 +146,16 @@ def start_message(problem: Problem) -> list[str]:
     if not first > FIRST_FRAME_MISFIT * torch.stack(others).nanmedian():
         return []
     moving = problem.fields[slot_of(problem, "moving")]
-    if isinstance(moving, Scalar):  # both were tried
-        return [
-            Message(
-                "lag-first-frame",
-                "the first frame does not fit the others: what did the camera do before it? Neither rest nor moving as "
-                "it goes on fits, and the next frames hold some of it still: leave the first ones out (data.frames=2:)",
-            )
-        ]
     other = int(float(moving().mean()) < HALF_SPEED)
+    remedy = (
+        "Neither rest nor moving as it goes on fits, and the next frames hold some of it still: leave the first ones "
+        "out (data.frames=2:)"
+        if isinstance(moving, Scalar)  # both were tried
+        else f"Try physics.lag.moving={other}, or leave the first frames out (data.frames=2:)"
+    )
     return [
         Message(
             "lag-first-frame",
-            "the first frame does not fit the others: what did the camera do before it? Try "
-            f"physics.lag.moving={other}, or leave the first frames out (data.frames=2:)",
+            f"the first frame does not fit the others: what did the camera do before it? {remedy}",
         )
     ]

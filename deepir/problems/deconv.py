@@ -9,11 +9,8 @@ from deepir.errors import ConfigError
 from deepir.estimation.cross_validation import WeightSearch, fraction_for_weights
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
-from deepir.fields.psf.airy import Airy
 from deepir.fields.psf.base import PSF, Simplex
-from deepir.fields.psf.defocus import Defocus
-from deepir.fields.psf.gaussian import Gaussian
-from deepir.fields.psf.motion_blur import MotionBlur
+from deepir.fields.psf.shapes import Airy, Defocus, Gaussian, MotionBlur
 from deepir.messages import Message
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem
@@ -63,11 +60,10 @@ class Deconv(Recipe):
 
     def plan(self, problem: Problem) -> Schedule:
         """The sensor, if it is free, under a weak prior on the scene; the scene's weights; the scene."""
-        closed = tuple(problem.closed_form())
-        eliminate = (Step(closed, "eliminate"),) if closed else ()
-        sharp = "scene" in problem.free()  # else it is a target that is known, of which any blur can be found
-        held = {*closed, *(psf_names(problem) if sharp else ())}
-        free = tuple(name for name in problem.free() if name not in held)
+        free, eliminate = self.split(problem)
+        sharp = "scene" in free  # else it is a target that is known, of which any blur can be found
+        held = psf_names(problem) if sharp else ()
+        free = tuple(name for name in free if name not in held)
         still = (Step(tuple(name for name in free if name != problem.motion_unknown())), *eliminate)
         sensor = [
             Stage("sensor 1", still, 40),
@@ -75,7 +71,7 @@ class Deconv(Recipe):
             Stage("sensor 3", (Step(free), *eliminate), 40, prepare=self.update),
         ]
         stages = [
-            *(sensor if closed else [Stage("start", still, 40)]),
+            *(sensor if eliminate else [Stage("start", still, 40)]),
             *self.search.stages(problem),
             Stage(
                 "scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True
@@ -133,11 +129,12 @@ def start_psf(problem: Problem) -> list[str]:
             fit_psf(field, frames, usable)
             if cut_off(field):
                 field.load_state_dict(next(field.search_starts()))
+                slot = next(slot for slot, unknown in problem.slots.items() if unknown == name)
                 messages.append(
                     Message(
                         "blur-width-unknown",
                         f"the frames' spectrum does not show how wide the blur is: next to none is taken out. Give its "
-                        f"width, with physics.{name_of(problem, name)}.fixed=true, or a larger radius",
+                        f"width, with physics.{slot}.fixed=true, or a larger radius",
                     )
                 )
             elif (width := float(field.width.detach())) < MIN_PSF_WIDTH:
@@ -168,11 +165,6 @@ def start_noise(problem: Problem) -> None:
     noise = spectral_noise(problem.fields[names[0]]().detach(), problem.data, usable)
     if noise > MIN_SPECTRAL_NOISE * seen:
         problem.precision.copy_(usable / noise**2)
-
-
-def name_of(problem: Problem, unknown: str) -> str:
-    """The slot that an unknown is bound to."""
-    return next(slot for slot, name in problem.slots.items() if name == unknown)
 
 
 @torch.no_grad()

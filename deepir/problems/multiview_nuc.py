@@ -169,7 +169,8 @@ def _divide_low_order_part(
                     "sensor's. Take neighbouring frames of a moving camera",
                 )
             )
-    found, known = (_offset(problem) + rest).double().cpu().numpy(), usable.any(0).cpu().numpy()
+    before = problem.values()[problem.sensor_unknowns()["offset"]][0, 0]
+    found, known = (before + rest).double().cpu().numpy(), usable.any(0).cpu().numpy()
     if is_implausible(found, known):
         rest = rest - torch.from_numpy(low_order_part(found, known)).to(rest)
         messages = [
@@ -185,11 +186,6 @@ def _divide_low_order_part(
         part.assign(part.values + rest)
         rest = rest - (part.values[0, 0] - before)
     return messages
-
-
-def _offset(problem: Problem) -> Tensor:
-    """The offset of the sensor, (h, w)."""
-    return problem.values()[problem.sensor_unknowns()["offset"]][0, 0]
 
 
 def _corrected(problem: Problem) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import torch
 import torch.nn.functional as F
@@ -94,16 +95,8 @@ class Narcissus(NUC):
     frames = 1
     operators = ("add", "sensor")
     effect_names = (
-        *(
-            "frame_gain",
-            "frame_offset",
-            "line_noise",
-            "noise",
-            "sensor_pattern",
-            "shading",
-            "gain_drift",
-            "vignetting",
-        ),
+        *("frame_gain", "frame_offset", "line_noise", "noise", "sensor_pattern", "shading"),
+        *("gain_drift", "vignetting"),
     )
 
     def initialise(self, problem: Problem, seed: int) -> None:
@@ -130,13 +123,12 @@ class Narcissus(NUC):
         scenes = [stage for stage in plan if stage.name.startswith("scene")]
         closed = problem.closed_form()
         still = tuple(name for name in problem.free() if name not in {*closed, problem.motion_unknown()})
-        offset = [
-            Step((name,), "eliminate") for name in closed if name == problem.sensor_unknowns()["offset"]
-        ]
+        offset = problem.sensor_unknowns().get("offset", "")
+        steps = (Step(still), Step((offset,), "eliminate")) if offset in closed else (Step(still),)
         stages = [
-            Stage("stray 1", (Step(still), *offset), 20),
-            Stage("stray 2", (Step(still), *offset), 20, prepare=_register),
-            *(replace(each, prepare=_registered(each.prepare or self._first)) for each in rounds),
+            Stage("stray 1", steps, 20),
+            Stage("stray 2", steps, 20, prepare=_register),
+            *(replace(each, prepare=partial(self._prepare, each.prepare)) for each in rounds),
             *(
                 replace(scene, name=f"scene {i + 1}", prepare=None if i else self.finish)
                 for i in range(SCENE_REPEATS)
@@ -148,20 +140,14 @@ class Narcissus(NUC):
             for each in stages
         )
 
-    def _first(self, problem: Problem) -> None:
-        """Before the first round of the sensor."""
-        estimate_low_order(problem)
-        weigh_scene(problem, self.sensor_weight)
-
-
-def _registered(prepare: Callable[[Problem], None]) -> Callable[[Problem], None]:
-    """A round's preparation with the frames registered again first."""
-
-    def prepared(problem: Problem) -> None:
+    def _prepare(self, prepare: Callable[[Problem], None] | None, problem: Problem) -> None:
+        """A round's own preparation, with the frames registered again first; the first round has none of its own."""
         _register(problem)
-        prepare(problem)
-
-    return prepared
+        if prepare is not None:
+            prepare(problem)
+        else:
+            estimate_low_order(problem)
+            weigh_scene(problem, self.sensor_weight)
 
 
 @torch.no_grad()

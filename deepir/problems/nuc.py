@@ -1,4 +1,4 @@
-"""Non-uniformity correction."""
+"""Non-uniformity correction: of one burst, and of several of one sensor."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from deepir.effects.sensor_pattern import pattern_to_noise
 from deepir.estimation.prior_weight import adapt_weight_map, pattern_cost_db, store_reference_misfit
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.optim.objective import hold_out
+from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.coarse_to_fine import coarse_to_fine
-from deepir.problems.recipe import Recipe
+from deepir.problems.recipe import Recipe, each_by_itself
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
@@ -53,10 +54,8 @@ class NUC(Recipe):
 
     def plan(self, problem: Any) -> Schedule:
         """Three rounds for the sensor, those that effects ask for, and the scene on all samples."""
-        closed = tuple(problem.closed_form())
-        free = tuple(name for name in problem.free() if name not in closed)
+        free, eliminate = self.split(problem)
         fixed = self.refined_last(problem)
-        eliminate = (Step(closed, "eliminate"),) if closed else ()
         fourier = all(map(has_fourier_model, problem.data_sets))
         frames = min(len(each.data) for each in problem.data_sets)
         short, long, last = ITERATIONS[fourier]
@@ -64,13 +63,12 @@ class NUC(Recipe):
             (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
         )
         first = (Step(tuple(name for name in free if name not in fixed)), *eliminate)
-        every = (Step(free), *eliminate)
         final = (Step(tuple(problem.scenes)),)
         schedule = Schedule(
             [
                 Stage("sensor 1", first, short, tolerance=rough),
                 Stage("sensor 2", first, short, prepare=self.first_update, tolerance=rough),
-                Stage("sensor 3", every, long, prepare=self.update, tolerance=fine),
+                Stage("sensor 3", (Step(free), *eliminate), long, prepare=self.update, tolerance=fine),
                 Stage("scene", final, last, prepare=self.finish, use_held_out=True, tolerance=scene),
             ]
         )
@@ -96,3 +94,37 @@ class NUC(Recipe):
         for each in problem.data_sets:
             adapt_weight_map(each, 0.0 if self.sensor_follows else pattern_cost_db(each, self.sensor_weight))
             store_reference_misfit(each)
+
+
+@register("problem", "recording")
+class Recording(NUC):
+    """Gain and offset from several bursts of a recording; a scene, a motion and levels for each of them.
+
+    Its rounds are those of `nuc`. Each burst takes the first one by itself, so that scenes are near the truth when
+    they meet; from then on all bursts share the sensor, see `deepir.joint_problem`.
+    """
+
+    several = True
+    checked_frames = 8
+    effect_names: ClassVar[tuple[str, ...]] = tuple(
+        name for name in NUC.effect_names if name not in ("line_noise", "gain_drift", "vignetting")
+    )
+
+    def initialise(self, problem: Problem, seed: int) -> None:
+        """Also the first round."""
+        super().initialise(problem, seed)
+        self._first_round(problem)
+
+    def restart(self, problem: Any) -> None:
+        """Each burst by itself, the first round included."""
+        for each in each_by_itself(problem):
+            super().restart(each)
+            self._first_round(each)
+        self.weigh(problem, self.sensor_weight)
+
+    def _first_round(self, problem: Problem) -> None:
+        solve(problem, [super().plan(problem)("sensor 1")])
+
+    def plan(self, problem: Any) -> Schedule:
+        """The rounds of `nuc` but the first."""
+        return Schedule(super().plan(problem)[1:])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +18,7 @@ from deepir.effects.effect import Effect
 from deepir.effects.sensor_pattern import ReferenceLevel
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
-from deepir.fields.dense_motion import Flow
+from deepir.fields.motion import Flow
 from deepir.likelihoods import Huber
 from deepir.operators import Chain, Warp
 from deepir.optim.fourier_hessian import has_fourier_model
@@ -36,14 +36,6 @@ LEVEL_ITERATIONS = 40  # at each level
 REWEIGHTINGS = 3  # at each level
 
 
-class Pictures(NamedTuple):
-    """The frames (N, h, w), `factor` times coarser, and where they are known."""
-
-    factor: int
-    frames: Tensor
-    known: Tensor
-
-
 def optical_flow(frames: Tensor, known: Tensor, flow: Flow) -> Tensor:
     """Displacements (N, 2, h, w), x and y in px, beside where a flow starts.
 
@@ -54,36 +46,35 @@ def optical_flow(frames: Tensor, known: Tensor, flow: Flow) -> Tensor:
     CPU, in float32.
     """
     height, width = frames.shape[1:]
-    coarse = [
-        averaged(frames, known, factor)
-        for factor in PYRAMID_FACTORS
-        if min(height, width) // factor >= MIN_SIDE
-    ]
+    factors = [factor for factor in PYRAMID_FACTORS if min(height, width) // factor >= MIN_SIDE]
+    coarse = [averaged(frames, known, factor) for factor in factors]
     found = torch.zeros(len(frames), 2, height, width)
     for k in range(1, len(frames)):
         beside = found[:k]
-        for pictures in coarse:
-            beside = _fitted(pictures, k, flow, beside)
+        for factor, (data, seen) in zip(factors, coarse, strict=True):
+            beside = _fitted(data[[0, k]], seen[[0, k]], factor, flow, flow.start[[0, k]], beside)
         found[k] = beside[-1]
     return found
 
 
-def averaged(frames: Tensor, known: Tensor, factor: int) -> Pictures:
-    """Means of the known of `factor` x `factor` px, about the centre; known themselves where at least half are."""
+def averaged(frames: Tensor, known: Tensor, factor: int) -> tuple[Tensor, Tensor]:
+    """Means of the known of `factor` x `factor` px, about the centre; and which are known: those of at least half."""
     top, left = ((side % factor) // 2 for side in frames.shape[1:])
     counts = known[:, top:, left:].to(frames)
     share = F.avg_pool2d(counts, factor)
     mean = F.avg_pool2d(counts * frames[:, top:, left:], factor) / share.clamp(min=1e-6)
-    return Pictures(factor, mean, share > 0.5)
+    return mean, share > 0.5
 
 
-def _fitted(pictures: Pictures, k: int, flow: Flow, guesses: Tensor) -> Tensor:
-    """Displacements (1, 2, h, w) of frame `k`, from the best of the guesses (M, 2, h, w)."""
-    factor, data, seen = pictures.factor, pictures.frames[[0, k]], pictures.known[[0, k]]
+def _fitted(data: Tensor, seen: Tensor, factor: int, flow: Flow, start: Tensor, guesses: Tensor) -> Tensor:
+    """Displacements (1, 2, h, w) of the second of two frames, from the best of the guesses (M, 2, h, w).
+
+    `data` and `seen`: both frames, `factor` times coarser, and where they are known. `start`: where their flow starts.
+    """
     size = (data.shape[1], data.shape[2])
     spacing = max(factor * CONTROL_POINT_SPACING, flow.spacing)
     field = Flow((2,), size=size, ratio=1 / factor, spacing=spacing, weight=START_WEIGHT * float(flow.weight))
-    field.start = resized(flow.start[[0, k]].permute(0, 3, 1, 2) / factor, size).permute(0, 2, 3, 1)
+    field.start = resized(start.permute(0, 3, 1, 2) / factor, size).permute(0, 2, 3, 1)
     problem = _problem(field, data, seen)
 
     def misfit(guess: Tensor) -> float:
@@ -158,10 +149,8 @@ class DenseMotion(NUC):
             ConfigError: The motion is no flow, or fixed.
         """
         motion = _name(problem)
-        closed = tuple(problem.closed_form())
-        free = tuple(name for name in problem.free() if name not in closed)
+        free, eliminate = self.split(problem)
         still = tuple(name for name in free if name != motion)
-        eliminate = (Step(closed, "eliminate"),) if closed else ()
         short, last = (8, 20) if has_fourier_model(problem) else (25, 35)
         stages = [
             Stage("homography", (Step(still), *eliminate), short),

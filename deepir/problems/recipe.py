@@ -86,10 +86,15 @@ class Recipe:
 
     def plan(self, problem: Any) -> Schedule:
         """The stages of the solve: a function of the problem alone."""
+        free, eliminate = self.split(problem)
+        return Schedule([Stage("joint", (Step(free), *eliminate), iterations=200)])
+
+    @staticmethod
+    def split(problem: Any) -> tuple[tuple[str, ...], tuple[Step, ...]]:
+        """Unknowns that an optimiser moves, and the step that eliminates the others; () without any."""
         closed = tuple(problem.closed_form())
         free = tuple(name for name in problem.free() if name not in closed)
-        steps = (Step(free, "lbfgs"), *((Step(closed, "eliminate"),) if closed else ()))
-        return Schedule([Stage("joint", steps, iterations=200)])
+        return free, (Step(closed, "eliminate"),) if closed else ()
 
     def start(self, problem: Any) -> None:
         """The initial estimate, under the sensor's weight of the scene's penalties."""

@@ -45,16 +45,17 @@ class SR(Recipe):
         hold_out(problem, seed)
         weigh_scene(problem, self.sensor_weight)
         self.search.start(problem)
-        self.messages = few_frames(len(problem.data), factor_of(problem))
+        stages = [stage for _, stage in problem.operator.named() if isinstance(stage, Downsample)]
+        factor = math.prod(
+            float(stage.factor) for stage in stages
+        )  # px of the scene for each of the detector's
+        self.messages = few_frames(len(problem.data), factor)
 
     def plan(self, problem: Problem) -> Schedule:
         """Sensor and motion by turns, with the search for the scene's weights between; the scene on all samples."""
-        closed = tuple(problem.closed_form())
-        free = tuple(name for name in problem.free() if name not in closed)
-        motion = problem.motion_unknown()
-        still = (Step(tuple(name for name in free if name != motion)),)
+        (free, eliminate), motion = self.split(problem), problem.motion_unknown()
+        sensor = (Step(tuple(name for name in free if name != motion)), *eliminate)
         moving = (Step(tuple(name for name in ("scene", motion) if name in free)),)
-        sensor = (*still, Step(closed, "eliminate")) if closed else still
         stages = [
             Stage("sensor 1", sensor, 40),
             Stage("sensor 2", sensor, 40, prepare=self.first_update),
@@ -66,12 +67,6 @@ class SR(Recipe):
             Stage("scene", (Step(("scene",)),), 40, prepare=self.finish, use_held_out=True),
         ]
         return Schedule(stages)
-
-
-def factor_of(problem: Problem) -> float:
-    """How many px of the scene a detector's pixel is wide."""
-    stages = [stage for _, stage in problem.operator.named()]
-    return math.prod([float(stage.factor) for stage in stages if isinstance(stage, Downsample)])
 
 
 def few_frames(count: int, factor: float) -> list[str]:

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepir.fields.dense_motion import Flow
+from deepir.fields.motion import Flow
 from deepir.operators.motion_models import displacement_at, displacements, homographies
 from deepir.operators.warp import project_pixels
 

@@ -5,8 +5,7 @@ import torch
 
 from deepir.assembly.problem import make_field
 from deepir.errors import ConfigError
-from deepir.fields.base import Pixels
-from deepir.fields.bounded import Bounded
+from deepir.fields.base import Bounded, Pixels
 
 SHAPE = (1, 1, 5, 6)
 

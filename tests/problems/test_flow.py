@@ -6,7 +6,7 @@ import torch
 
 import deepir
 from deepir.errors import ConfigError
-from deepir.fields.dense_motion import Flow
+from deepir.fields.motion import Flow
 from deepir.metrics import scores
 from deepir.operators.motion_models import displacements
 from deepir.operators.warp import project_pixels

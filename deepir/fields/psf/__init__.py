@@ -1,1 +1,1 @@
-"""Point-spread functions. One a file; a new file is found by itself."""
+"""Point-spread functions. A new file is found by itself."""

@@ -38,6 +38,7 @@ class PSF(Field):
 
     #: Ratio of successive initial widths of a search; small where the spectrum has zeros.
     search_ratio: ClassVar[float] = 1.1
+    example_shape = (1, 1, 9, 9)
 
     def __init__(self, shape: Shape, neutral: float, size: tuple[int, int], name: str, width: float) -> None:
         super().__init__(shape, neutral)
@@ -79,11 +80,9 @@ class PSF(Field):
     def search_starts(self) -> Iterator[dict[str, Tensor]]:
         """States from which a search for the parameters may begin: widths up to the radius."""
         count = math.ceil(math.log(self.shape[-1] / MIN_WIDTH) / math.log(self.search_ratio))
-        widths = [MIN_WIDTH * self.search_ratio**i for i in range(count + 1)]
-        for width in widths:
-            yield self.state_dict() | {
-                "value": torch.full_like(self.value, math.log(width) / self.preconditioning_scale)
-            }
+        for i in range(count + 1):
+            value = math.log(MIN_WIDTH * self.search_ratio**i) / self.preconditioning_scale
+            yield self.state_dict() | {"value": torch.full_like(self.value, value)}
 
     def _axis(self) -> Tensor:
         radius = self.shape[-1] // 2
@@ -110,6 +109,8 @@ class Kernel(Constant):
     Its sides are odd, and up to the slot's (2 r + 1, 2 r + 1), in whose middle it is put.
     """
 
+    example_shape = (1, 1, 3, 3)
+
     def __init__(self, shape: Shape, neutral: float = 0.0, *, path: str | None = None) -> None:
         super().__init__(shape, 0.0)
         given = torch.ones(1, 1, 1) if path is None else read_map(path)
@@ -125,11 +126,6 @@ class Kernel(Constant):
         top, left = (each // 2 for each in rest)
         self.values[..., top : shape[-2] - top, left : shape[-1] - left] = given / total
 
-    @classmethod
-    def example(cls) -> Kernel:
-        """A kernel of 3 x 3 px."""
-        return cls((1, 1, 3, 3))
-
 
 @register("field", "simplex")
 class Simplex(Field):
@@ -137,6 +133,9 @@ class Simplex(Field):
 
     They are squares, scaled. It starts as a narrow Gaussian; from a file with `init`.
     """
+
+    example_shape = (1, 1, 5, 5)
+    example_options: ClassVar = {"size": (60, 80)}
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int]) -> None:
         super().__init__(shape, neutral)
@@ -156,8 +155,3 @@ class Simplex(Field):
         value = value.to(self.values).expand(self.shape).clamp(min=0)
         value = value.clamp(min=MIN_INITIAL_RATIO * float(value.max()))
         self.values.copy_((value / value.sum((-2, -1), keepdim=True)).sqrt() / self.preconditioning_scale)
-
-    @classmethod
-    def example(cls) -> Simplex:
-        """A kernel of 5 x 5 px."""
-        return cls((1, 1, 5, 5), size=(60, 80))

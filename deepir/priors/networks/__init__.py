@@ -1,1 +1,1 @@
-"""Networks whose output is the scene. One a file; a new file is found by itself."""
+"""Networks whose output is the scene. A new file is found by itself."""

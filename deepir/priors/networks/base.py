@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
-from deepir.fields.base import Field, Shape
+from deepir.fields.base import Shape, StandardisedField
 
 
-class Network(Field):
+class Network(StandardisedField):
     """A scene `center + scale * draw()`, with the output of a network and mean and deviation of the initial scene.
 
     Args:
@@ -22,8 +18,6 @@ class Network(Field):
         bf16: Whether the layers are computed in bfloat16.
     """
 
-    center: Tensor
-    scale: Tensor
     start: Tensor
     can_represent = False
 
@@ -32,8 +26,6 @@ class Network(Field):
     ) -> None:
         super().__init__(shape, neutral)
         self.residual, self.bf16 = residual, bf16
-        self.register_buffer("center", torch.tensor(float(neutral)))
-        self.register_buffer("scale", torch.tensor(1.0))
         #: Initial scene, in units of the network.
         self.register_buffer("start", torch.zeros(self.shape))
 
@@ -43,7 +35,9 @@ class Network(Field):
 
     def forward(self) -> Tensor:
         """`center + scale * draw()`, with `residual` plus the initial scene."""
-        with self._computing():
+        wanted = self.bf16 and self.center.dtype == torch.float32
+        # Normalisation, sums and parameters stay float32.
+        with torch.autocast(self.center.device.type, torch.bfloat16, enabled=wanted):
             picture = self.draw()
         picture = picture.to(self.center.dtype)
         picture = picture + self.start if self.residual else picture
@@ -52,11 +46,7 @@ class Network(Field):
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
         """Store mean, deviation and image as the initial scene; the network is unchanged."""
-        value = value.to(self.start).expand(self.shape)
-        deviation = value.std() if value.numel() > 1 else value.new_zeros(())
-        self.center.copy_(value.mean())
-        self.scale.copy_(torch.where(deviation > 0, deviation, torch.ones_like(deviation)))
-        self.start.copy_((value - self.center) / self.scale)
+        self.start.copy_(self.standardise(value))
 
     def begin_at_start(self, last: nn.Linear | nn.Conv2d) -> None:
         """With `residual`, set the last layer to zero: the first output is the initial scene."""
@@ -64,36 +54,3 @@ class Network(Field):
             nn.init.zeros_(last.weight)
             if last.bias is not None:
                 nn.init.zeros_(last.bias)
-
-    @contextmanager
-    def _computing(self) -> Iterator[None]:
-        """In bfloat16 where that is wanted; normalisation, sums and parameters stay float32."""
-        wanted = self.bf16 and self.center.dtype == torch.float32
-        with torch.autocast(self.center.device.type, torch.bfloat16, enabled=wanted):
-            yield
-
-
-class Coordinates(Network):
-    """Implicit representation `net((x, y)) -> values`, with coordinates from -1 to 1 along the longer side.
-
-    The network has one output for each of the S scenes.
-    """
-
-    net: nn.Module
-    points: Tensor
-
-    def __init__(self, shape: Shape, neutral: float = 0.0, **options: Any) -> None:
-        super().__init__(shape, neutral, **options)
-        far = max(*shape[-2:], 2) - 1
-        y, x = (torch.arange(side) * 2 - (side - 1) for side in shape[-2:])
-        grid = torch.stack(torch.meshgrid(x / far, y / far, indexing="xy"), -1)
-        self.register_buffer("points", grid.flatten(0, 1))
-
-    def draw(self) -> Tensor:
-        """The network at all pixels."""
-        return self.at(self.points).T.reshape(-1, 1, *self.shape[-2:])
-
-    def at(self, points: Tensor) -> Tensor:
-        """The network at points (n, 2), as (x, y): (n, S), in units of the scene's spread."""
-        value: Tensor = self.net(points)
-        return value

@@ -1,12 +1,12 @@
-"""The deep image prior: the scene as what an untrained skip network draws."""
+"""Untrained networks that draw the scene from noise: the deep image prior, and the deep decoder."""
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
@@ -35,6 +35,8 @@ class DIP(Network):
         pad: What lies beyond the edges.
     """
 
+    example_shape = (1, 1, 11, 9)
+    example_options: ClassVar = {"width": 4, "scales": 2, "inputs": 2}
     noise: Tensor
     drawn: Tensor
 
@@ -75,18 +77,62 @@ class DIP(Network):
             start = F.pad(self.start[:, :1], (0, beyond[1], 0, beyond[0]), mode="replicate")
             x = torch.cat((x, start), 1)
         if self.perturb and torch.is_grad_enabled():
-            x = x + self.perturb * self._fresh(x)
+            # By how often it was drawn alone, so that a resumed solve takes the same steps.
+            generator = torch.Generator().manual_seed(int(self.drawn))
+            self.drawn += 1
+            x = x + self.perturb * torch.randn(x.shape, generator=generator).to(x)
         picture: Tensor = self.net(x.contiguous(memory_format=torch.channels_last))
         picture = picture[..., : self.shape[-2], : self.shape[-1]]
         return 8 * picture.float().sigmoid() - 4 if self.sigmoid else picture
 
-    def _fresh(self, like: Tensor) -> Tensor:
-        """Noise that depends on how often it was drawn alone, so that a resumed solve takes the same steps."""
-        generator = torch.Generator().manual_seed(int(self.drawn))
-        self.drawn += 1
-        return torch.randn(like.shape, generator=generator).to(like)
 
-    @classmethod
-    def example(cls) -> DIP:
-        """A small network for 11 x 9 px."""
-        return cls((1, 1, 11, 9), width=4, scales=2, inputs=2)
+@register("field", "deep_decoder")
+class DeepDecoder(Network):
+    """Mixed channels, doubled in size again and again, from small fixed noise.
+
+    Each block is a 1 x 1 convolution, a bilinear doubling, a rectifier and a normalisation of each channel (Heckel and
+    Hand 2019, "Deep decoder"). So few parameters that it need not be stopped, but for its details. Scenes have noise
+    of their own, and share the network.
+
+    Args:
+        shape, neutral: See `Network`.
+        width: Channels.
+        blocks: How many, the last of which does not double the size.
+        options: Those of every `Network`.
+    """
+
+    example_shape = (1, 1, 11, 9)
+    example_options: ClassVar = {"width": 4, "blocks": 3}
+
+    def __init__(
+        self,
+        shape: Shape,
+        neutral: float = 0.0,
+        *,
+        width: int = 64,
+        blocks: int = 6,
+        **options: Any,
+    ) -> None:
+        super().__init__(shape, neutral, **options)
+        check_counts(width=(width, 1024), blocks=(blocks, 10))
+        if blocks < 2:
+            raise ValueError("blocks must be at least 2")
+        unit = 2 ** (blocks - 1)
+        small = [-(-side // unit) for side in shape[-2:]]
+        self.register_buffer("noise", 0.1 * torch.rand(shape[0], width, *small))
+        self.mix = nn.ModuleList(nn.Conv2d(width, width, 1, bias=False) for _ in range(blocks))
+        self.norm = nn.ModuleList(nn.BatchNorm2d(width, track_running_stats=False) for _ in range(blocks))
+        self.last = nn.Conv2d(width, 1, 1, bias=False)
+        self.begin_at_start(self.last)
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def draw(self) -> Tensor:
+        """What the network makes of its noise."""
+        x = self.noise
+        for i, (mix, norm) in enumerate(zip(self.mix, self.norm, strict=True)):
+            x = mix(x)
+            if i + 1 < len(self.mix):
+                x = F.interpolate(x, scale_factor=2, mode="bilinear")
+            x = norm(F.relu(x))
+        picture: Tensor = self.last(x)
+        return picture[..., : self.shape[-2], : self.shape[-1]]

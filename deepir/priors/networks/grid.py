@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -30,6 +30,8 @@ class Grid(Network):
         width: Of the mixing network.
         options: Those of every `Network`.
     """
+
+    example_options: ClassVar = {"levels": 2, "features": 2, "width": 4}
 
     def __init__(
         self,
@@ -61,8 +63,3 @@ class Grid(Network):
         each = [F.interpolate(grid, size=size, mode="bicubic", align_corners=True) for grid in coarse]
         picture: Tensor = self.last(self.mix(torch.cat((finest, *each), 1)))
         return picture
-
-    @classmethod
-    def example(cls) -> Grid:
-        """A small one for 6 x 7 px."""
-        return cls((1, 1, 6, 7), levels=2, features=2, width=4)

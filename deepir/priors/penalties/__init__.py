@@ -1,1 +1,1 @@
-"""Penalties: what is preferred of a value. One a file; a new file is found by itself."""
+"""Penalties: what is preferred of a value. A new file is found by itself."""

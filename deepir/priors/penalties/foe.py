@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -12,7 +11,7 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.fields.base import Shape
 from deepir.kernels.dispatch import is_compiled
-from deepir.priors.penalties.tv import SmoothedNorm
+from deepir.priors.penalties.tv import CompiledEnergy, SmoothedNorm
 from deepir.registry import register
 
 #: Side of a filter, px.
@@ -82,8 +81,11 @@ class FoE(SmoothedNorm):
         """
         tails = self.tails / self.weight.clamp(min=1e-12)
         if is_compiled(value):
-            energy: Tensor = _CompiledEnergy.apply(
-                value, self.weight_map, self.filters, self.costs, tails, float(self.epsilon)
+            from deepir.kernels.gradients import experts
+
+            learned = (self.filters, self.costs, tails)
+            energy: Tensor = CompiledEnergy.apply(
+                value, self.weight_map, experts, *learned, float(self.epsilon)
             )
             return energy
         return foe_energy(value, self.weight_map, self.filters, self.costs, tails, self.epsilon)
@@ -99,14 +101,8 @@ class FoE(SmoothedNorm):
 
     def fraction_shrunk_to_zero(self, value: Tensor) -> float:
         """Fraction of the filter responses below `FLAT_RESPONSE`."""
-        return float(
-            (
-                filter_magnitudes(value, self.filters, self.epsilon, SAMPLING_STRIDE) * self.weight
-                < FLAT_RESPONSE
-            )
-            .float()
-            .mean()
-        )
+        long = filter_magnitudes(value, self.filters, self.epsilon, SAMPLING_STRIDE)
+        return float((long * self.weight < FLAT_RESPONSE).float().mean())
 
 
 def foe_energy(
@@ -143,33 +139,6 @@ def central_weights(weight_map: Tensor, shape: Shape) -> Tensor:
     """Weights of the pixels at which a filter lies inside the image, (..., 1, H - 4, W - 4)."""
     inside = slice(FILTER_SIDE // 2, -(FILTER_SIDE // 2))
     return weight_map.expand(*weight_map.shape[:-2], *shape[-2:])[..., None, inside, inside]
-
-
-class _CompiledEnergy(torch.autograd.Function):
-    """The same in one pass, which finds the gradient as well."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, value: Tensor, weight_map: Tensor, filters: Tensor, costs: Tensor, tails: Tensor, e: float
-    ) -> Tensor:
-        from deepir.kernels.compile import parallel_for
-        from deepir.kernels.gradients import experts
-
-        pictures = value.reshape(-1, *value.shape[-2:]).contiguous()
-        weight_map = weight_map.to(pictures).expand(pictures.shape[-2:]).contiguous()
-        learned = tuple(each.to(pictures).contiguous() for each in (filters, costs, tails))
-        gradient = torch.empty_like(pictures)
-        energy = torch.empty(pictures.shape[:-1], dtype=torch.float64)
-        for i, picture in enumerate(pictures):
-            parallel_for(experts, len(picture), picture, weight_map, *learned, e, energy[i], gradient[i])
-        ctx.save_for_backward(gradient.reshape(value.shape))
-        return energy.sum()
-
-    @staticmethod
-    @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        (found,) = ctx.saved_tensors
-        return gradient.to(found) * found, None, None, None, None, None
 
 
 @functools.cache

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.fields.base import Shape
+from deepir.fields.base import Shape, check_positive
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import lookup, register
 
@@ -54,9 +54,7 @@ class RED(Penalty):
     ) -> None:
         super().__init__(weight=weight)
         self.weighed_by_noise = first is not None
-        for name, value in (("strength", strength), ("first", first), ("trust", trust)):
-            if value is not None and not 0 < value < float("inf"):
-                raise ValueError(f"{name} must be a positive number, not {value}")
+        check_positive(strength=strength, first=strength if first is None else first, trust=trust)
         self.denoise = denoiser if callable(denoiser) else lookup("denoiser", denoiser, "denoiser")
         self.strength, self.first, self.trust = strength, first or strength, trust
         self.register_buffer("target", torch.zeros(shape))

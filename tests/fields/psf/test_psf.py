@@ -9,11 +9,8 @@ from scipy import ndimage, special
 
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
-from deepir.fields.psf.airy import Airy
 from deepir.fields.psf.base import Kernel, Simplex
-from deepir.fields.psf.defocus import Defocus
-from deepir.fields.psf.gaussian import Gaussian
-from deepir.fields.psf.motion_blur import MotionBlur
+from deepir.fields.psf.shapes import Airy, Defocus, Gaussian, MotionBlur
 from deepir.operators import Blur
 
 SIZE = (60, 80)

@@ -9,11 +9,10 @@ from torch import nn
 from deepir.assembly.problem import build_scene
 from deepir.config import load
 from deepir.priors.networks.base import Network
+from deepir.priors.networks.coordinates import Gabor, Sine, Siren
 from deepir.priors.networks.dip import DIP
 from deepir.priors.networks.grid import Grid
-from deepir.priors.networks.siren import Sine, Siren
 from deepir.priors.networks.skip_network import Padded, Skip, upsample_join_convolve
-from deepir.priors.networks.wire import Gabor
 from deepir.registry import components
 
 SHAPE = (1, 1, 50, 70)
