@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepir.kernels.dispatch import MIN_DEPTH
+from deepir.kernels.dispatch import MIN_DEPTH, is_compiled
 from deepir.operators.base import Operator, Shape
 from deepir.operators.warp import Warp
 from deepir.registry import register
@@ -38,6 +38,8 @@ class RollingShutter(Warp):
 
     def adjoint(self, y: Tensor, x_shape: Shape, *, motion: Tensor, readout: Tensor) -> Tensor:  # type: ignore[override]
         """That of the warp to these points."""
+        if not is_compiled(y):
+            return Operator.adjoint(self, y, x_shape, motion=motion, readout=readout)
         return super().adjoint(y, x_shape, motion=self.points(motion, readout))
 
     def valid(self, mask: Tensor, *, motion: Tensor, readout: Tensor) -> Tensor:  # type: ignore[override]

@@ -159,7 +159,7 @@ def test_strong_column_gains_are_modelled_as_the_scene_times_a_wave(seed, monkey
     free = Step(("scene",)), Step(("gain", "offset"), "eliminate")
     reached = {}
     for strong in (0.05, 9.0):
-        monkeypatch.setattr("deepir.optim.fourier_hessian.MAX_ADDITIVE_LINE_GAIN", strong)
+        monkeypatch.setattr("deepir.optim.low_order_model.MAX_ADDITIVE_LINE_GAIN", strong)
         made, _ = build(load("nuc"), burst, torch.from_numpy(sim.truth.motion))
         made.precision.fill_(1e3)
         for name in ("gain", "offset"):

@@ -10,7 +10,7 @@ from registered import COUNTS, FAINT, SHAPE, TONES, TONES_IN_COUNTS, WALKER, err
 import deepir
 from deepir.errors import DataError
 from deepir.registration import motion_search, register
-from deepir.simulate.optics import rendering as optics
+from deepir.simulate import optics
 from deepir.simulate.scenes.procedural import procedural
 
 PLAIN = {"shading": 0.0, "dead_pixels": 0.0}

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage, special
 
+from deepir.assembly.problem import make_field
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
 from deepir.fields.psf.base import Kernel, Simplex
@@ -84,8 +85,10 @@ def test_a_known_map_comes_from_a_file_or_a_number(tmp_path):
 
 def test_a_map_of_another_size_is_refused_with_both_sizes(tmp_path):
     np.save(tmp_path / "gain.npy", np.ones((5, 7)))
-    with pytest.raises(ConfigError, match=r"gain\.npy.*\(1, 1, 6, 7\) is wanted"):
-        Constant((1, 1, 6, 7), 1.0, path=str(tmp_path / "gain.npy"))
+    given = {"type": "constant", "path": str(tmp_path / "gain.npy")}
+    wanted = (1, 1, 6, 7)
+    with pytest.raises(ConfigError, match=r"sensor\.gain: .*\(1, 1, 6, 7\) is wanted, not \(1, 1, 5, 7\)"):
+        make_field(given, wanted, 1.0, (6, 7), 1.0, "sensor.gain", wanted.__eq__)
     with pytest.raises(ConfigError, match="either"):
         Constant((1, 1, 6, 7), 1.0, path="a.npy", value=1.0)
 
