@@ -73,8 +73,8 @@ def verdict(corrected: CorrectedRecording, messages: Sequence[str], unit: str) -
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
     was, now = pattern_before_and_after(corrected)
-    after = "" if np.isnan(now) else f", and is about {now:.2g} {unit}".rstrip() + " now"
-    return f"The fixed pattern was {was:.3g} {unit}".rstrip() + f"{after}."
+    before, after = (f"{each:.3g} {unit}".rstrip() for each in (was, now))
+    return f"The fixed pattern was {before}" + (f", and is about {after} now." if np.isfinite(now) else ".")
 
 
 def pattern_before_and_after(corrected: CorrectedRecording) -> tuple[float, float]:
