@@ -19,7 +19,8 @@ import deepir
 from deepir import burst as bursts
 from deepir.assembly.data_sets import FIRST, build_data_sets, data_sets
 from deepir.assembly.problem import build
-from deepir.config import Config, Data
+from deepir.config import Config
+from deepir.config.schema import DataSet
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.joint_problem import JointProblem
 from deepir.kernels import memory, threads
@@ -56,7 +57,6 @@ def prepare(
     _check_device(config.device)
     if definition.ordered:
         demand_order(config.data.frames, config.problem)
-    pictures = _are_pictures(config, definition)
     with threads.for_samples(0), seeded(config.seed):  # nothing here is worth a second thread
         data = bursts.load(
             config.data,
@@ -65,9 +65,9 @@ def prepare(
             needs=definition.frames,
             seed=config.seed,
             ordered=definition.ordered,
-            are_pictures=pictures,
+            are_pictures=_are_pictures(config, definition),
         )
-        others = {name: _further(name, each.data, config, pictures) for name, each in config.datasets.items()}
+        others = {name: _further(name, each, config, definition) for name, each in config.datasets.items()}
         data = dataclasses.replace(data, datasets=others)
         check_components(config, data)
     return data
@@ -78,8 +78,10 @@ def _are_pictures(config: Config, definition: type[Recipe]) -> bool:
     return not definition.any_data or motion_model(config) is not None
 
 
-def _further(name: str, data: Data, config: Config, pictures: bool) -> bursts.Burst:
+def _further(name: str, given: DataSet, config: Config, definition: type[Recipe]) -> bursts.Burst:
     """The frames of a further data set; errors name it."""
+    data, physics = given.data, config.physics if given.physics is None else given.physics
+    pictures = _are_pictures(config.model_copy(update={"physics": physics}), definition)
     if data.path is None and data.simulate is None:
         raise DataError(f"datasets.{name}.data.path is missing: give the file of this data set")
     try:

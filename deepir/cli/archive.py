@@ -73,12 +73,12 @@ def correct_all(
     made_by = {"version": deepir.__version__, "settings": sorted(settings), "rounded": rounded}
     with Interruptible():
         for task in tasks:
-            found = _record(task, folder)
-            if not overwrite and found == {**found, **made_by, "sha256": _digest(task.file)}:
+            this = made_by | {"sha256": _digest(task.file)}
+            if not overwrite and _is_done(task, folder, this):
                 done += 1
-            else:
-                found = _corrected(task, folder, settings, made_by, rounded=rounded)
-                echo(json.dumps(found))
+                continue
+            found = _corrected(task, folder, settings, this, rounded=rounded)
+            echo(json.dumps(found))
             states.append(found["status"])
     notify(f"{len(tasks)} recording(s), {done} of them done already; results: {folder}")
     return EXIT[max(states, key=list(EXIT).index)]
@@ -132,14 +132,14 @@ def _corrected(
     try:
         config = recording_config(str(task.file), settings, RECORDING_SETTINGS)
         with held_outputs(*outputs, overwrite=True, source=task.file):
-            found |= {"sha256": _digest(task.file)} | made_by
+            found |= made_by
             corrected = correct_file(config, *outputs, rounded=rounded, quiet=True)
         estimate = corrected.estimate
         found |= {
             "frames": len(corrected),
             "correction": str(estimate.kept),
             "bad_pixels": int(estimate.bad_pixels.sum()),
-            "messages": [str(each) for each in estimate.messages],
+            "messages": list(map(str, corrected.messages)),
         }
     except DeepIRError as error:
         found |= {"status": REFUSED, "messages": [str(error)]}
@@ -153,14 +153,17 @@ def _corrected(
     return found
 
 
-def _record(task: Task, folder: Path) -> dict[str, Any]:
-    """What is known of a recording that was corrected before; {} if it was not, or its results are gone."""
+def _is_done(task: Task, folder: Path, made_by: dict[str, Any]) -> bool:
+    """Whether a recording was corrected with the same file, settings and version, and its results are there."""
     try:
         found = json.loads(task.record(folder).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return {}
-    whole = found.get("status") != CORRECTED or all(each.exists() for each in task.outputs(folder))
-    return found if isinstance(found, dict) and whole else {}
+        return False
+    return (
+        isinstance(found, dict)
+        and (made_by | {"status": CORRECTED}).items() <= found.items()
+        and all(map(Path.exists, task.outputs(folder)))
+    )
 
 
 def _digest(file: Path) -> str:

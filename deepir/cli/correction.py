@@ -87,8 +87,7 @@ def _describe(corrected: CorrectedRecording) -> None:
         for each in segments:
             echo(f"  {each.description}")
     echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
-    found = [each for part in segments if part.estimate for each in part.estimate.messages]
-    for line in labelled(dict.fromkeys(found)):
+    for line in labelled(corrected.messages):
         notify(line)
 
 

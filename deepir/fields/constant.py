@@ -38,9 +38,8 @@ class Constant(Field):
         )
         if given.ndim == 3 and len(self.shape) == 4:  # one channel
             given = given[:, None]
-        with suppress(
-            RuntimeError
-        ):  # else a slot says whether it takes another shape, such as points for a motion
+        # Of another shape a slot says whether it takes that, such as points for a motion.
+        with suppress(RuntimeError):
             given = given.expand(self.shape)
         self.shape = tuple(given.shape)
         self.register_buffer("values", given.clone())

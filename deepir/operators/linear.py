@@ -101,8 +101,8 @@ class Linear:
     def __repr__(self) -> str:
         return f"{self.name}: {self.in_shape or 'any'} -> {self.out_shape or 'any'}"
 
-    def as_scipy(self, dtype: torch.dtype = torch.float64) -> LinearOperator:
-        """`scipy.sparse.linalg.LinearOperator` on flattened arrays; `computes in `dtype`."""
+    def as_scipy(self, dtype: torch.dtype = torch.float64, device: str = "cpu") -> LinearOperator:
+        """`scipy.sparse.linalg.LinearOperator` on flattened arrays; type and device are those of the slots."""
         from scipy.sparse.linalg import LinearOperator
 
         if self.in_shape is None or self.out_shape is None:
@@ -111,7 +111,12 @@ class Linear:
         def flat(apply: Callable[[Tensor], Tensor], shape: Shape) -> Callable[[np.ndarray[Any, Any]], Any]:
             @torch.no_grad()
             def applied(vector: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-                return apply(torch.as_tensor(vector, dtype=dtype).reshape(shape)).flatten().cpu().numpy()
+                return (
+                    apply(torch.as_tensor(vector, dtype=dtype, device=device).reshape(shape))
+                    .flatten()
+                    .cpu()
+                    .numpy()
+                )
 
             return applied
 

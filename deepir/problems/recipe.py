@@ -101,8 +101,6 @@ class Recipe:
         for each in each_by_itself(problem):
             initial_estimate(each, self.effects)
         self.weigh(problem, self.sensor_weight)
-        for name in penalised(problem):
-            weigh_unknown(problem, name)
 
     @torch.no_grad()
     def restart(self, problem: Any) -> None:
@@ -141,6 +139,8 @@ class Recipe:
     def weigh(problem: Any, factor: float = 1.0) -> None:
         """Set the weights of the scene's penalties to `factor` times their full strength."""
         weigh_scene(problem, factor)
+        for name in penalised(problem):
+            weigh_unknown(problem, name)
 
     def weigh_prior(self, problem: Any) -> None:
         """The same for a prior that is fitted once the sensor is known, see `scene.fit`."""

@@ -32,11 +32,10 @@ def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator
         yield "motion: the frames register as a whole, and were solved together with their scene"
     else:
         yield "motion: near and far things move differently; the offset rests on local displacements"
-    if estimate.offset_deviation is not None:
-        good = ~estimate.bad_pixels
+    found, left = estimate.pattern_deviations
+    if np.isfinite(left):
         yield (
-            f"offset: standard deviation {estimate.offset[good].std():.3g}, uncertain by "
-            f"{np.sqrt(np.mean(estimate.offset_deviation[good] ** 2)):.2g} (root mean square over the pixels)"
+            f"offset: standard deviation {found:.3g}, uncertain by {left:.2g} (root mean square over the pixels)"
         )
     if lag is None:
         yield "thermal lag: not judged, too little of the scene is seen at several speeds"
@@ -105,6 +104,13 @@ class CorrectedRecording:
     def estimate(self) -> SensorEstimate:
         """Of the sensor, as it is at the end of the recording."""
         return next(each.estimate for each in reversed(self.segments) if each.estimate)
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """Those of all parts, each once."""
+        return tuple(
+            dict.fromkeys(each for part in self.segments if part.estimate for each in part.estimate.messages)
+        )
 
     @functools.cached_property
     def maps(self) -> CorrectionMaps:

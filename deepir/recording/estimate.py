@@ -81,6 +81,15 @@ class SensorEstimate:
     contrasts: tuple[Array, Array] | None = None
     jumps: tuple[int, ...] = ()
 
+    @property
+    def pattern_deviations(self) -> tuple[float, float]:
+        """Standard deviations of the offset, and of what is left of it; NaN where that is not known."""
+        good = ~self.bad_pixels
+        if not good.any():
+            return 0.0, np.nan
+        left = np.nan if self.offset_deviation is None else np.sqrt(np.mean(self.offset_deviation[good] ** 2))
+        return float(self.offset[good].std()), float(left)
+
 
 @dataclass(frozen=True)
 class _Samples:

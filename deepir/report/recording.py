@@ -39,30 +39,25 @@ def write_recording_report(
         unit: Of its values; "" if it has none.
         findings: Lines on motion, offset and lag.
     """
-    estimate = corrected.estimate
-    messages = [each for part in corrected.segments if part.estimate for each in part.estimate.messages]
     data = {
         "title": "correction",
         "source": printable(Path(source).name),
-        "verdict": {
-            name: printable(each) for name, each in verdict(corrected, messages, unit)._asdict().items()
-        },
+        "verdict": {name: printable(each) for name, each in verdict(corrected, unit)._asdict().items()},
         "figures": list(_figures(corrected, unit)),
-        "messages": [printable(each) for each in (*labelled(dict.fromkeys(messages)), *findings)],
+        "messages": [printable(each) for each in (*labelled(corrected.messages), *findings)],
         "maps": list(_maps(corrected, unit)),
         "palettes": {name: colours(name) for name in PALETTES},
         "others": {name: colours(each) for name, each in MAP_PALETTES.items()},
         "palette": WHITE_HOT,
-        "kept": estimate.kept,
     }
     write_page(path, "run.html", ("maps.js", "views.js", "run.js"), data)
 
 
-def verdict(corrected: CorrectedRecording, messages: Sequence[str], unit: str) -> Verdict:
+def verdict(corrected: CorrectedRecording, unit: str) -> Verdict:
     """What was taken off and how sure that is; or what could not be told, and what to do."""
     estimate, bad = corrected.estimate, int(corrected.estimate.bad_pixels.sum())
     filled = f"{bad} bad pixel{'s are' if bad > 1 else ' is'} filled in." if bad else "No pixel is bad."
-    if found := warned(messages):
+    if found := warned(corrected.messages):
         return Verdict(found.severity, found.sentence, f"{_taken_off(corrected, unit)} {found.more} {filled}")
     if len(corrected.segments) > 1:
         filled += f" The pattern jumps {len(corrected.segments) - 1} time(s); each part has maps of its own."
@@ -72,23 +67,13 @@ def verdict(corrected: CorrectedRecording, messages: Sequence[str], unit: str) -
 
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
-    was, now = pattern_before_and_after(corrected)
+    was, now = corrected.estimate.pattern_deviations
     before, after = (f"{each:.3g} {unit}".rstrip() for each in (was, now))
     return f"The fixed pattern was {before}" + (f", and is about {after} now." if np.isfinite(now) else ".")
 
 
-def pattern_before_and_after(corrected: CorrectedRecording) -> tuple[float, float]:
-    """Standard deviations of the pattern that was found, and of what is expected to be left; NaN if not known."""
-    estimate = corrected.estimate
-    good = ~estimate.bad_pixels
-    was = float(estimate.offset[good].std()) if good.any() else 0.0
-    if estimate.offset_deviation is None or not good.any():
-        return was, np.nan
-    return was, float(np.sqrt(np.mean(estimate.offset_deviation[good] ** 2)))
-
-
 def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:
-    was, now = pattern_before_and_after(corrected)
+    was, now = corrected.estimate.pattern_deviations
     yield "fixed pattern before", f"{was:.3g} {unit}".rstrip()
     if np.isfinite(now):
         yield "expected to be left", f"{now:.2g} {unit}".rstrip()

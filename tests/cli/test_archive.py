@@ -26,7 +26,7 @@ def quick(monkeypatch):
     corrected = []
 
     class Found:
-        estimate = type("", (), {"kept": "offset", "bad_pixels": np.zeros(3), "messages": ()})
+        estimate, messages = type("", (), {"kept": "offset", "bad_pixels": np.zeros(3)}), ()
 
         def __len__(self):
             return 12

@@ -26,7 +26,7 @@ class Recording:
         offset = 4 * rng.standard_normal(SHAPE)
         known = SensorEstimate(np.ones(SHAPE), offset, bad, 100.0, np.full(SHAPE, 0.5), "offset", 0.05)
         self.estimate = replace(known, **changes)
-        self.segments = [SimpleNamespace(estimate=self.estimate)]
+        self.segments, self.messages = [SimpleNamespace(estimate=self.estimate)], self.estimate.messages
         self.keyframes = SimpleNamespace(frames=self.frames, numbers=np.arange(3))
 
     def __len__(self):
@@ -38,7 +38,7 @@ class Recording:
 
 def told(**changes):
     recording = Recording(**changes)
-    return verdict(recording, recording.estimate.messages, "counts")
+    return verdict(recording, "counts")
 
 
 def test_the_verdict_says_how_much_pattern_there_was_and_is():

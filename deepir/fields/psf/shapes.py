@@ -45,13 +45,8 @@ class Gaussian(PSF):
         return (line[:, None] * line).expand(self.shape)
 
 
-@register("field", "airy")
-class Airy(PSF):
-    """Airy pattern (1, 1, 2 r + 1, 2 r + 1), sum one; `radius`, of its first dark ring in px, is free.
-
-    That is 1.22 wavelengths times the f-number, over the pitch: 12.2 µm at 10 µm and f/1. (Born and Wolf 1999,
-    "Principles of Optics", 8.5.2.) It is sampled at pixel centres. The blur's radius should be two to three of it.
-    """
+class RoundPSF(PSF):
+    """A point-spread function (1, 1, 2 r + 1, 2 r + 1) whose width is the radius of a disc or ring, px."""
 
     example_options: ClassVar = {"size": (60, 80), "radius": 2.2}
 
@@ -59,6 +54,15 @@ class Airy(PSF):
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
     ) -> None:
         super().__init__(shape, neutral, size, "radius", radius)
+
+
+@register("field", "airy")
+class Airy(RoundPSF):
+    """Airy pattern (1, 1, 2 r + 1, 2 r + 1), sum one; `radius`, of its first dark ring in px, is free.
+
+    That is 1.22 wavelengths times the f-number, over the pitch: 12.2 µm at 10 µm and f/1. (Born and Wolf 1999,
+    "Principles of Optics", 8.5.2.) It is sampled at pixel centres. The blur's radius should be two to three of it.
+    """
 
     def kernel_of_width(self, width: Tensor) -> Tensor:
         """`(2 J1(v) / v)²`, normalised, by `J1(v) / v = ∫ sqrt(1 - t²) cos(v t) dt / π`, t from -1 to 1."""
@@ -76,18 +80,11 @@ class Airy(PSF):
 
 
 @register("field", "defocus")
-class Defocus(PSF):
+class Defocus(RoundPSF):
     """The disc that a lens out of focus makes of a point, (1, 1, 2 r + 1, 2 r + 1), sum one; `radius` in px is free.
 
     It has an edge, so that it is integrated over pixels. The blur's radius should be a px more than its own.
     """
-
-    example_options: ClassVar = {"size": (60, 80), "radius": 2.2}
-
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
-    ) -> None:
-        super().__init__(shape, neutral, size, "radius", radius)
 
     def kernel_of_width(self, width: Tensor) -> Tensor:
         """The normalised disc of a radius."""
