@@ -13,7 +13,6 @@ from deepir.messages import labelled
 if TYPE_CHECKING:
     from deepir.config import Config
     from deepir.recording.correct import CorrectedRecording
-    from deepir.recording.estimate import SensorEstimate
 
 
 def correct_file(
@@ -86,11 +85,7 @@ def _describe(corrected: CorrectedRecording) -> None:
         echo(f"the fixed pattern jumps {len(segments) - 1} time(s), as after a closure of the shutter:")
         for each in segments:
             echo(f"  {each.description}")
-    echo(_summary(corrected.estimate, len(corrected.keyframes.frames), len(corrected)))
+    known, bad = len(corrected.keyframes.frames), int(corrected.estimate.bad_pixels.sum())
+    echo(f"correction: {corrected.estimate.kept}, from {known} of {len(corrected)} frames; {bad} bad pixels")
     for line in labelled(corrected.messages):
         notify(line)
-
-
-def _summary(estimate: SensorEstimate, keyframes: int, length: int) -> str:
-    bad = int(estimate.bad_pixels.sum())
-    return f"correction: {estimate.kept}, from {keyframes} of {length} frames; {bad} bad pixels"
