@@ -74,6 +74,10 @@ WARNINGS = {
         "Pixels hold one value in all frames: text or marks that the camera draws, or clipped pixels.",
         "Switch the overlay off, or leave it out with `data.mask` or `data.crop`.",
     ),
+    "still-region": (
+        "A part of the picture does not follow the scene: a bonnet, a mount, a barrel, or pixels that do not respond.",
+        "Nothing, if it is what you expect. A mask (`data.mask`) or a crop (`data.crop`) is surer.",
+    ),
     "torn-frames": (
         "A frame is composed of two exposures, above and below a row. It fits neither of them.",
         "Leave these frames out with `data.frames`; check the cable or the frame grabber.",
@@ -82,11 +86,25 @@ WARNINGS = {
         "Each frame still shows some of the one before, as with slow pixels. Edges have tails.",
         "Move more slowly, or rest before each frame. For an even motion use `deepir run deblur_lag data.fps=...`.",
     ),
-    "correlated-residuals": (
-        "The residuals are not noise, so the model misses something. Parallax, changing clouds or leaves, changing "
-        "shading, or motion within a frame do this.",
-        "For near and far objects use `deepir run flow`. Mask what changes; trust fine details less than their "
-        "deviation says.",
+    "rows-displaced": (
+        "The camera shakes while a frame is read out row by row, so rows are displaced, and the scene is blurred.",
+        "Hold the camera more firmly or move it more slowly. Operator `rolling_shutter` models an even motion.",
+    ),
+    "subpage-frames": (
+        "The camera reads its pixels in two halves, as on a chessboard, and moves in between.",
+        "Move more slowly, or rest before each frame.",
+    ),
+    "unsharp-frames": (
+        "Some frames are less sharp than others, by autofocus or by fast motion.",
+        "Leave them out with `data.frames`, or model each frame's blur with `per_frame` of operator `blur`.",
+    ),
+    "parallax": (
+        "Near and far parts of the scene move by different amounts, which one motion of the frame does not follow.",
+        "Use `deepir run flow`.",
+    ),
+    "shading-changes": (
+        "Something smooth changes from frame to frame: clouds, stray flux, the temperature of the housing.",
+        "Take the frames faster. Trust slow parts of the scene less than their deviation says.",
     ),
     "pattern-cost": (
         "The unknown pattern costs precision: the scene has this much more noise than with a known sensor.",

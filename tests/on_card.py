@@ -15,7 +15,7 @@ import torch
 from pretended_card import Card
 from small_problems import PROBLEMS, difference, solved
 
-from deepir.kernels import dispatch
+from deepir.kernels import threads
 from deepir.problems import deblur_lag, optical_flow
 from deepir.registry import components
 
@@ -127,7 +127,7 @@ def main():
     if DEVICE == "card":
         pretended_card.install()
     torch.backends.cudnn.allow_tf32 = False  # rounding errors of float32, as on the CPU
-    dispatch.ENABLED = False  # so that the CPU takes the same operations
+    threads.ENABLED = False  # so that the CPU takes the same operations
     torch.set_num_threads(1)
     deblur_lag.TRIAL_ITERATIONS = optical_flow.LEVEL_ITERATIONS = 1  # the same steps, less often
     for evaluate in EVALUATED:

@@ -13,7 +13,7 @@ from small_problems import PROBLEMS, difference, frames_of, solved
 from deepir.assembly.problem import build
 from deepir.burst import load as load_burst
 from deepir.config import load
-from deepir.kernels import dispatch
+from deepir.kernels import threads
 from deepir.optim.objective import objective
 from deepir.pipeline.schedule import make_recipe, plan
 from deepir.problems import deblur_lag, optical_flow
@@ -59,7 +59,7 @@ WHOLE = ("nuc", "deblur_lag", "multiview_nuc")
 )
 def test_a_whole_solve_by_torch_is_that_of_the_compiled_loops(monkeypatch, name):
     wanted = solved(name, iterations=3)
-    monkeypatch.setattr(dispatch, "ENABLED", False)
+    monkeypatch.setattr(threads, "ENABLED", False)
     found = solved(name, iterations=3)
     assert difference(found, wanted) < ROUNDING
     assert found.messages == wanted.messages
@@ -83,9 +83,9 @@ def test_the_objective_by_torch_is_that_of_the_compiled_loops(monkeypatch, name)
 
     for stage in plan(problem, recipe, config):
         if stage.change is None:
-            monkeypatch.setattr(dispatch, "ENABLED", True)
+            monkeypatch.setattr(threads, "ENABLED", True)
             wanted, slope = evaluate(stage)
-            monkeypatch.setattr(dispatch, "ENABLED", False)
+            monkeypatch.setattr(threads, "ENABLED", False)
             found, other = evaluate(stage)
             assert abs(found - wanted) < 1e-9 * abs(wanted)
             assert (other - slope).abs().max() < 1e-6 * slope.abs().max()

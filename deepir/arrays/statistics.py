@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from deepir.kernels.dispatch import is_compiled
+from deepir.kernels.threads import is_compiled
 
 #: Standard deviation of a Gaussian, per median absolute deviation.
 MAD_TO_SIGMA = 1.4826

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.kernels.dispatch import is_compiled
+from deepir.kernels.threads import is_compiled
 
 #: Relative residual at which conjugate gradients stop.
 TOLERANCE = 1e-12

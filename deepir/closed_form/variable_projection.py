@@ -22,7 +22,7 @@ from torch import Tensor
 from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU, multiply_symmetric
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
-from deepir.kernels.dispatch import is_compiled
+from deepir.kernels.threads import is_compiled
 
 #: Kind of a part: the axes along which it is constant; None for shading.
 Kind = tuple[int, ...] | None

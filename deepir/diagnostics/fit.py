@@ -1,12 +1,11 @@
 """Whether what was found fits the frames: residuals that are noise, and a motion and a pattern that are theirs.
 
-The noise of a pixel is independent of its neighbours. The degrees of freedom of the fit correlate adjacent residuals,
-but not those a few pixels apart. Correlation at that distance means changing clouds, leaves or shadows, parallax, blur
-within frames, or thermal lag: residuals then resemble the difference to the previous frame. A correction by another
-motion or pattern than the frames' may be worse than none.
+A correction by another motion or pattern than the frames' may be worse than none.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.samples import Array, autocorrelation
 from deepir.arrays.statistics import MAD_TO_SIGMA, median
+from deepir.diagnostics.misfit import misfit
 from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
@@ -24,14 +24,8 @@ from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import log_likelihood_ratio
 
-#: Distances along rows and columns at which the correlation is taken, px.
-CORRELATION_DISTANCES = (3, 5)
-#: Residual at which samples are clipped, noise standard deviations.
-RESIDUAL_CLIP_SIGMAS = 3.0
-#: Correlation of residuals from which they are not noise; 0.08 at most where the model is right.
-MIN_RESIDUAL_CORRELATION = 0.12
-#: Correlation with the difference to the previous frame from which pixels lag; 0.05 at most where they do not.
-MIN_LAG_CORRELATION = 0.15
+#: Evidence from which a cause of a misfit is named, nats a sample; without one it is 0.006 at most.
+MIN_MISFIT = 0.012
 #: Nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong.
 MIN_MOTION_NATS = 0.3
 #: The same before a scene that repeats itself: if all frames register, and if fewer than a share do, since frames of
@@ -56,79 +50,26 @@ MIN_PATTERN_CONTRAST = 0.2
 
 
 @torch.no_grad()
-def residual_correlation_message(problem: Problem) -> list[str]:
-    """Warning for residuals that are not noise, or that show thermal lag; [] otherwise."""
-    stages = [stage for _, stage in problem.operator.named()]
-    if not isinstance(stages[-1], Sensor) or min(problem.data.shape[2:]) < 4 * max(CORRELATION_DISTANCES):
+def misfit_message(problem: Problem, said: Sequence[str] = ()) -> list[str]:
+    """Warning that names the cause that explains most of the residuals; [] where none does, or messages `said` so."""
+    if not isinstance(problem.operator.named()[-1][1], Sensor):
         return []
+    message, nats, frames = _misfit(problem)
+    if nats < MIN_MISFIT or message.name in (getattr(each, "name", "") for each in said):
+        return []
+    few = f" (frames {', '.join(map(str, frames))})" if 2 * len(frames) <= len(problem.data) else ""
+    return [Message(message.name, f"{message}{few}")]
+
+
+def _misfit(problem: Problem) -> tuple[Message, float, list[int]]:
+    """`misfit` of a problem that ends in a sensor."""
     values = problem.values()
     residual = problem.data - problem.predict(values)
-    residual.mul_(problem.precision.sqrt()).clamp_(-RESIDUAL_CLIP_SIGMAS, RESIDUAL_CLIP_SIGMAS)
-    several = len(residual) > 2 and not any(stage.temporal for stage in stages)
-    if several and lag_correlation(residual, problem.flux(values), problem.precision) > MIN_LAG_CORRELATION:
-        return [
-            Message(
-                "thermal-lag",
-                "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move "
-                "the camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run "
-                "deblur_lag data.fps=...` removes the lag",
-            )
-        ]
-    if (correlation := residual_correlation(residual, problem.precision)) < MIN_RESIDUAL_CORRELATION:
-        return []
-    near, far = CORRELATION_DISTANCES
-    return [
-        Message(
-            "correlated-residuals",
-            f"the residuals are not noise: their correlation at {near} and {far} px is {correlation:.2f}. Possible "
-            "causes: parallax (use `deepir run flow`), moving clouds, leaves or shadows, changing shading, or motion "
-            "within a frame. The scene's errors exceed its standard deviation",
-        )
-    ]
-
-
-def residual_correlation(residual: Tensor, precision: Tensor) -> float:
-    """Correlation of residuals at `CORRELATION_DISTANCES` along rows and columns.
-
-    Args:
-        residual: (N, 1, h, w), noise standard deviations.
-        precision: Same shape; zero where a sample does not count.
-
-    Returns:
-        The mean over frames and axes, the smallest over distances: enlarged or JPEG-compressed frames have correlated
-        noise at 3 px, but not at 5.
-    """
-    counts = (precision > 0).to(residual.dtype)
-    power = (residual.square().sum((1, 2, 3)) / counts.sum((1, 2, 3)).clamp(min=1)).clamp(min=1e-30)
-    found = []
-    for apart in CORRELATION_DISTANCES:
-        both = []
-        for along in (2, 3):
-            size = residual.shape[along] - apart
-            here, there = (each.narrow(along, 0, size) for each in (residual, counts))
-            beyond, too = (each.narrow(along, apart, size) for each in (residual, counts))
-            pairs = (there * too).sum((1, 2, 3)).clamp(min=1)
-            both.append((here * beyond).sum((1, 2, 3)) / pairs / power)
-        found.append(float(torch.stack(both).mean()))
-    return min(found)
-
-
-def lag_correlation(residual: Tensor, flux: Tensor, precision: Tensor) -> float:
-    """Correlation of the residuals with the difference of the flux to the previous frame.
-
-    Args:
-        residual: (N, 1, h, w), noise standard deviations.
-        flux: On the detector, same shape.
-        precision: Same shape.
-
-    Returns:
-        The median over frames.
-    """
-    beside = (flux[:-1] - flux[1:]).mul_(precision[1:].sqrt())
-    beside = beside - beside.mean((1, 2, 3), keepdim=True)
-    product = (residual[1:] * beside).sum((1, 2, 3))
-    power = beside.square().sum((1, 2, 3)) * residual[1:].square().sum((1, 2, 3))
-    return float((product / power.sqrt().clamp(min=1e-30)).median())
+    # What moves by itself was given up, but may be a part of a torn frame.
+    whole = problem.precision.amax(0, keepdim=True).where(problem.moving, problem.precision)
+    gain = values[problem.slots[f"{problem.operator.named()[-1][0]}.gain"]]
+    images = (residual, problem.precision, whole, problem.flux(values), gain)
+    return misfit(*(each[:, 0].numpy(force=True) for each in images))
 
 
 @torch.no_grad()
@@ -164,11 +105,10 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
                     "and the motion that was found explains them little better than rest",
                 )
             ]
+    if len(problem.data) < 3 or _misfit(problem)[1] < MIN_MISFIT:
+        return []
     values = problem.values()
     left = problem.data - problem.predict(values)
-    scaled = (left * problem.precision.sqrt()).clamp(-RESIDUAL_CLIP_SIGMAS, RESIDUAL_CLIP_SIGMAS)
-    if len(left) < 3 or residual_correlation(scaled, problem.precision) < MIN_RESIDUAL_CORRELATION:
-        return []
     name = problem.operator.named()[-1][0]
     gain, offset = (values[problem.slots[f"{name}.{slot}"]] for slot in ("gain", "offset"))
     pattern = gain * problem.flux(values).median() + offset

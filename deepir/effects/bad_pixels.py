@@ -19,6 +19,7 @@ from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
 from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import temporal_mean
+from deepir.messages import Message
 from deepir.registry import register
 
 OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a pixel is no part of it
@@ -26,7 +27,11 @@ DEAD_DEVIATION = 4.0  # the same of a static pixel
 DEFECT_MISFIT = 12.0  # mean squared residual over the frames, in units of the noise
 MAX_MISFIT = 100.0  # squared residual at which that of one sample is clipped: one frame makes no defect
 ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
-STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little over the frames
+MIN_REGION = 0.01  # share of the pixels: fewer are no region
+STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little, or as much, over the frames
+CROWD_SHARE = (
+    0.5  # of a pixel's surroundings that stand still before a scene that moves, where it is no chance
+)
 EXPECTED_CHANGE = 9.0  # variance over the frames, in units of the noise, of the scene that an overlay hides
 RIM_SHARE = 0.5  # of the rim of a static region that is overlay, for all of it to be
 LINE_SAMPLES = 128  # pixels of a line for its median
@@ -52,14 +57,17 @@ def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def static_pixels(frames: Tensor, usable: Tensor, noise: float) -> Tensor:
-    """Pixels (1, 1, h, w), bool, that do not even show noise, of standard deviation `noise`; of (N, 1, h, w)."""
+def static_pixels(
+    frames: Tensor, usable: Tensor, noise: float, probability: float = 1 - STATIC_PROBABILITY
+) -> Tensor:
+    """Pixels (1, 1, h, w), bool, that do not even show noise, of standard deviation `noise`; of (N, 1, h, w).
+
+    probability: At which noise alone varies more: that which is small finds all pixels that show no more than noise.
+    """
     change, count = changes(frames, usable)
     # What noise alone makes of so many samples is a chi-squared number.
-    least = torch.from_numpy(
-        chdtri(np.arange(len(frames) + 1).clip(2) - 1, 1 - STATIC_PROBABILITY) * noise**2
-    ).to(change)
-    return (count > 1) & (change < least[count])
+    bound = torch.from_numpy(chdtri(np.arange(len(frames) + 1).clip(2) - 1, probability) * noise**2)
+    return (count > 1) & (change < bound.to(change)[count])
 
 
 @torch.no_grad()
@@ -76,6 +84,35 @@ def dead_pixels(calm: Tensor, pattern: Tensor, known: Tensor) -> Tensor:
         some, counts = subsample(apart, live)
         far |= apart > DEAD_DEVIATION * MAD_TO_SIGMA * some[counts].median()
     return calm & far
+
+
+@torch.no_grad()
+def still_region(still: Tensor, expected: Tensor, usable: Tensor, noise: float) -> Tensor:
+    """Pixels (1, 1, h, w), bool, of those that are `still` in the frames, in regions where the scene should move.
+
+    A bonnet, a mount or a barrel in view, or pixels that do not respond; expected, usable (N, 1, h, w).
+    """
+    change, count = changes(expected, usable)
+    found = still & (change > EXPECTED_CHANGE * noise**2 * (count - 1))
+    crowd = box_sum(found.to(change)) > CROWD_SHARE * box_sum(torch.ones_like(change))
+    return still & crowd & ((still & crowd).float().mean() >= MIN_REGION)
+
+
+def region_message(bad: Tensor) -> list[str]:
+    """A warning on regions of pixels (1, 1, h, w), bool, that a solve gave up, where the largest is; or []."""
+    region = bad & (box_sum(bad.float()) > CROWD_SHARE * DEFAULT_WINDOW**2)
+    if (share := float(region.float().mean())) < MIN_REGION:
+        return []
+    names, _ = scipy.ndimage.label(region[0, 0].numpy(force=True))
+    y, x = (np.unique(each) for each in np.nonzero(names == np.bincount(names[names > 0]).argmax()))
+    return [
+        Message(
+            "still-region",
+            f"{share:.1%} of the pixels, between rows {y[0]} and {y[-1]}, columns {x[0]} and {x[-1]}, "
+            "do not follow the scene: something stands still before it, or they do not respond. They are left out. "
+            "data.mask, or data.crop, says so beforehand",
+        )
+    ]
 
 
 @torch.no_grad()
@@ -187,7 +224,10 @@ class BadPixels(Effect):
         usable = problem.precision > 0
         calm = estimate.static | static_pixels(problem.data, usable, noise)
         gone = dead_pixels(calm, temporal_mean(rest, problem.precision.sign()), usable.any(0, keepdim=True))
+        still = estimate.still
         if problem.saturation is not None:  # a scene beyond the range is as calm
-            calm = calm & (problem.saturation == 0).all(0, keepdim=True)
+            inside = (problem.saturation == 0).all(0, keepdim=True)
+            calm, still = calm & inside, still & inside
         gone |= overlay_mask(calm, problem.data - rest, usable, noise)
+        gone |= still_region(still, problem.data - rest, usable, noise)
         problem.precision.mul_(~gone)

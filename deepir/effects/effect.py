@@ -19,6 +19,7 @@ class InitialEstimate:
         problem: Its scene is the registered average of the frames.
         noise: Standard deviation of a sample's noise, in the data's units.
         static: Pixels whose samples vary by less than that, (1, 1, h, w), bool.
+        still: Pixels whose samples vary by no more, same shape.
         step: 0: registered average of the raw frames; 1: of frames of equal level and gain; 2 and more: without the
             fixed pattern.
         residual: Frames less their prediction, (N, 1, h, w), fixed pattern included.
@@ -27,6 +28,7 @@ class InitialEstimate:
     problem: Problem
     noise: float
     static: Tensor
+    still: Tensor
     step: int
     residual: Tensor
 

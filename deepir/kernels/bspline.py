@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
-from deepir.kernels.dispatch import MIN_DEPTH
+from deepir.kernels.threads import MIN_DEPTH
 
 #: Not Python's integers, which with float32 make float64.
 ONE, TWO, THREE, FOUR = np.float32(1), np.float32(2), np.float32(3), np.float32(4)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
-from deepir.kernels.dispatch import DETERMINANTS_PER_LOG
+from deepir.kernels.threads import DETERMINANTS_PER_LOG
 
 #: Rows of a band, the unit of parallel work.
 ROWS_PER_BAND = 32

@@ -1,4 +1,4 @@
-"""Threads of an estimate on the CPU: one for small bursts; for large ones all, of the compiled loops.
+"""Where a kernel runs, and on how many threads: one for small bursts; for large ones all, of the compiled loops.
 
 To wake a thread takes as long as a small burst's loops do. Torch's operations on a burst are short too, and its threads
 wait for each other after every one: on a busy machine, or with as many threads as a processor has hyperthreads, an
@@ -12,13 +12,27 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 
 import torch
+from torch import Tensor
 
+#: Largest entry of a homography: beyond, coordinates overflow in float32.
+MAX_ENTRY = 1e6
+#: Smallest depth of a projected point.
+MIN_DEPTH = 1e-3
+#: Determinants that are multiplied before one logarithm is taken.
+DETERMINANTS_PER_LOG = 8
+#: False: the twins compute on the CPU too, so that tests can compare them with the loops.
+ENABLED = True
 #: Samples of a burst from which a second thread is faster.
 MIN_PARALLEL_SAMPLES = 400_000
 #: Threads unless others are asked for. On 16 hyperthreads, 1, 2, 4, 8 and 16 took 15, 10, 7, 5.6 and 14 s.
 MAX_THREADS = 8
 
 _given = ContextVar("threads", default=0)
+
+
+def is_compiled(value: Tensor) -> bool:
+    """Whether a compiled loop computes on a tensor: on the CPU alone."""
+    return ENABLED and value.device.type == "cpu"
 
 
 def available() -> int:

@@ -7,7 +7,7 @@ from typing import ClassVar
 import torch
 from torch import Tensor
 
-from deepir.kernels.dispatch import MIN_DEPTH, is_compiled
+from deepir.kernels.threads import MIN_DEPTH, is_compiled
 from deepir.operators.base import Operator, Shape
 from deepir.operators.warp import Warp
 from deepir.registry import register

@@ -8,7 +8,7 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from deepir.kernels.dispatch import MAX_ENTRY, MIN_DEPTH, is_compiled
+from deepir.kernels.threads import MAX_ENTRY, MIN_DEPTH, is_compiled
 from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.operators.bspline import MIN_CANVAS_SIDE, NOISE_GAIN, SplineWarp, sample, to_pixels, warp_adjoint
 from deepir.registry import register

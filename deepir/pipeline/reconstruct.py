@@ -11,8 +11,9 @@ import torch
 from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.fit import doubtful_motion, residual_correlation_message, scene_in_pattern_message
+from deepir.diagnostics.fit import doubtful_motion, misfit_message, scene_in_pattern_message
 from deepir.diagnostics.frames import equalised_message
+from deepir.effects.bad_pixels import region_message
 from deepir.effects.frame_gain import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import pattern_cost_db
@@ -90,12 +91,12 @@ def solve_burst(
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
     picture = scene_in_pattern_message(problem)
-    messages = (
-        _small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture
-    )
-    if complete:
-        messages += residual_correlation_message(problem)
     found = given & ~problem.alive()
+    messages = (
+        (_small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture)
+        + (misfit_message(problem, burst.messages) if complete else [])
+        + region_message(found[None, None])
+    )
     known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)

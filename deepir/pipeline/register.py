@@ -12,7 +12,7 @@ from deepir.analysis.burst_assessment import MIN_MOTION_SPAN
 from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.frames import are_interlaced, longest_shutter_segment, shutter_message
+from deepir.diagnostics.frames import longest_shutter_segment, shutter_message
 from deepir.errors import DataError
 from deepir.messages import Message
 from deepir.problems.recipe import Recipe
@@ -64,14 +64,6 @@ def register_frames(
         )
     kept = torch.from_numpy(used)
     messages = shutter_message(part, len(frames)) + found.messages
-    if are_interlaced(frames[kept], motion[kept], ignore):
-        messages += [
-            Message(
-                "interlaced-frames",
-                "the frames are interlaced: their odd rows are of another time than their even ones, which is not "
-                "modelled. Record progressive frames, or keep every second row: frames[:, ::2]",
-            )
-        ]
     at = _places(motion[kept], burst.size)
     if recipe.motion and (at - at[0]).abs().amax() < MAX_STILL_MOTION:
         raise DataError(

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import median_sigma, robust_std
 from deepir.arrays.windows import fill_nearest
-from deepir.effects.bad_pixels import static_pixels
+from deepir.effects.bad_pixels import STATIC_PROBABILITY, static_pixels
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.metrics import RegisteredAverage
@@ -34,10 +34,12 @@ def initial_estimate(problem: Problem, effects: Sequence[Effect]) -> None:
     for effect in effects:
         effect.prepare(problem)
     noise = median_sigma(problem.precision)
-    static = static_pixels(problem.data, problem.precision > 0, noise)
+    usable = problem.precision > 0
+    static = static_pixels(problem.data, usable, noise)
+    still = static_pixels(problem.data, usable, noise, STATIC_PROBABILITY)
 
     def reject(step: int, residual: Tensor) -> None:
-        estimate = InitialEstimate(problem, noise, static, step, residual)
+        estimate = InitialEstimate(problem, noise, static, still, step, residual)
         for effect in effects:
             effect.reject(estimate)
 

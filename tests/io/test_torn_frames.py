@@ -29,17 +29,6 @@ def test_a_frame_that_begins_as_the_one_before_is_torn(frames):
     assert torn_frames(torn) == {3: 40}
 
 
-def test_a_seam_tells_where_no_rows_are_repeated():
-    textured = np.random.default_rng(0).normal(0, 100, (96, 300))
-    noise = np.random.default_rng(1).normal(8000, 3, (6, 96, 128))
-    smooth = (textured[:, :-4] + textured[:, 1:-3] + textured[:, 2:-2]) / 3
-    smooth = np.cumsum(smooth, axis=0) / 5
-    frames = noise + np.stack([smooth[:, 5 * k : 5 * k + 128] for k in range(6)])
-    assert torn_frames(frames) == {}
-    frames[2, 50:] += smooth[50:, 60:188] - smooth[50:, 10:138]
-    assert torn_frames(frames) == {2: 50}
-
-
 @pytest.mark.parametrize("picture", [procedural, sky])
 @pytest.mark.parametrize("seed", range(4))
 def test_whole_frames_are_whole(picture, seed):
@@ -63,26 +52,6 @@ def test_blocks_that_a_codec_leaves_as_they_were_are_not_torn(frames):
         left[80:] |= k == 3
         film[k][left] = film[k - 1][left]
     assert torn_frames(film) == {}
-
-
-@pytest.mark.parametrize(("step", "torn"), [(2, {}), (6, {2: 50})])
-def test_a_step_of_a_count_is_rounding_and_no_seam(step, torn):
-    frames = np.full((6, 96, 128), 100)
-    for k in range(6):
-        frames[k, 20 + 10 * k :] += 1
-    frames[2, 50:] += step - 1
-    frames[2, 40:50] -= 1
-    assert torn_frames(frames) == torn
-
-
-def test_an_edge_that_comes_into_view_is_no_seam_and_two_torn_frames_are(frames):
-    edge, torn = frames.astype(np.float32), frames.astype(np.float32)
-    edge[4, 41:] += 800
-    edge[5, 40:] += 1200
-    torn[2, 30:] += 1200
-    torn[3, 60:] += 1200
-    assert torn_frames(edge) == {}
-    assert torn_frames(torn) == {2: 30, 3: 60}
 
 
 def test_text_is_found_and_single_dead_pixels_are_none(frames):

@@ -18,19 +18,13 @@ MIN_STEP_RATIO = (
 SAMPLED_FRAMES = 8  # frames that are inspected
 ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
 Array = np.ndarray[Any, np.dtype[Any]]
-MIN_PART_ROWS = 8  # rows of either part, where one repeats a neighbour's
-MIN_SEAM_ROWS = 16  # rows of either part, where only their seam shows it
-MIN_FRAMES = 3  # frames whose common fixed pattern is left out
+MIN_PART_ROWS = 8  # rows of either part
 BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
 MAX_EQUAL_BLOCKS = (
     0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
 )
+LISTED_FRAMES = 32  # that advice names one by one, at most
 MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
-CHUNK = 16  # frames that are compared with each other
-COLUMNS = 100  # of wide frames in which seams are sought
-#: Step across a seam over the largest of usual frames, the next largest of its own, and those of the frames beside it.
-MIN_SEAM_RATIO = 1.9
-MAX_EDGE_MOTION = 8  # rows from frame to frame of an edge of the scene, which those frames show too
 
 
 def telemetry_rows(frames: np.ndarray[Any, Any]) -> list[int]:
@@ -103,19 +97,12 @@ def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
 def torn_frames(frames: Array) -> dict[int, int]:
     """Numbers of torn frames (N, h, w), and the first row of their lower part.
 
-    Either a part of rows is that of a neighbour, sample for sample, or one step from row to row stands out over the
-    whole width. Steps that all frames show are the fixed pattern's.
+    A part of rows is that of a neighbour, sample for sample.
     """
     if frames.shape[1] < 2 * MIN_PART_ROWS or frames.shape[2] < BLOCK_SIDE:
         return {}
     found = {k: row for k in range(len(frames)) if (row := _repeated_rows(frames, k))}
-    if len(found) > MAX_REPEATING * len(frames):
-        found = {}
-    for start in range(0, len(frames), CHUNK):
-        some = frames[start : start + CHUNK]
-        if len(some) >= MIN_FRAMES:
-            found |= {start + k: row for k, row in _seams(some).items() if start + k not in found}
-    return dict(sorted(found.items()))
+    return {} if len(found) > MAX_REPEATING * len(frames) else found
 
 
 def torn_message(torn: dict[int, int], count: int) -> list[str]:
@@ -125,7 +112,7 @@ def torn_message(torn: dict[int, int], count: int) -> list[str]:
     some = ", ".join(f"{k} (at row {row})" for k, row in torn.items())
     rest = ", ".join(str(k) for k in range(count) if k not in torn)
     advice = (
-        f"leave them out: data.frames=[{rest}]" if count <= 2 * CHUNK else "leave them out by data.frames"
+        f"leave them out: data.frames=[{rest}]" if count <= LISTED_FRAMES else "leave them out by data.frames"
     )
     return [Message("torn-frames", f"torn frame(s), of two times above and below a row: {some}; {advice}")]
 
@@ -156,25 +143,3 @@ def _equal_blocks(part: Array, other: Array) -> float:
         for each in (part, other)
     )
     return float(((a == b).all((1, 3)) & (a != a[:, :1, :, :1]).any((1, 3))).mean())
-
-
-def _seams(frames: Array) -> dict[int, int]:
-    """Frames in which one step from row to row stands out, and the row below it."""
-    some = frames[:, :, :: max(2, frames.shape[2] // COLUMNS)]
-    steps = np.nan_to_num(np.diff(_known(some), axis=1))
-    steps = np.median(np.abs(steps - np.median(steps, axis=0)), axis=-1)  # (N, h - 1)
-    rows, largest = steps.argmax(1), steps.max(1)
-    usual = float(np.median(largest))
-    unit = float(
-        np.array_equal(some, np.rint(some), equal_nan=True)
-    )  # a count: steps of fewer are rounded ones
-    found = {}
-    for k, row in enumerate(rows.tolist()):
-        beside = np.concatenate((steps[k, : max(0, row - 2)], steps[k, row + 3 :]))
-        inside = MIN_SEAM_ROWS <= row + 1 <= frames.shape[1] - MIN_SEAM_ROWS
-        here = slice(max(0, row - MAX_EDGE_MOTION), row + MAX_EDGE_MOTION + 1)
-        near = [steps[other, here].max() for other in (k - 1, k + 1) if 0 <= other < len(frames)]
-        others = float(max(usual, beside.max(initial=0), *near))
-        if inside and usual > 0 and beside.size and largest[k] > max(MIN_SEAM_RATIO * others, others + unit):
-            found[k] = row + 1
-    return found

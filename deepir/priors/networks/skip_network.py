@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from deepir.kernels.dispatch import is_compiled
+from deepir.kernels.threads import is_compiled
 
 #: Weights along an axis of the filter after a convolution with zeros between the pixels.
 INTERPOLATION_WEIGHTS = (0.25, 0.75, 0.75, 0.25)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from deepir import weights
 from deepir.fields.base import Shape
-from deepir.kernels.dispatch import is_compiled
+from deepir.kernels.threads import is_compiled
 from deepir.priors.penalties.tv import CompiledEnergy, SmoothedNorm
 from deepir.registry import register
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Shape, check_positive
-from deepir.kernels.dispatch import is_compiled
+from deepir.kernels.threads import is_compiled
 from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
 from deepir.registry import register
 

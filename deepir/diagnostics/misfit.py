@@ -1,0 +1,170 @@
+"""What a model that does not fit has missed: score tests of the residuals, one for each cause.
+
+To first order a cause adds known images to the samples: a displacement adds the scene's gradient, a blur its second
+derivatives, a lag the difference to the frame before. The residuals of a solve are regressed on these images, frame by
+frame and, where a cause differs over the frame, cell by cell. Half the drop of the sum of squares, less the price of
+the coefficients by the Bayesian information criterion, is the logarithm of a likelihood ratio (Rao 1948, Schwarz
+1978).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from deepir.messages import Message
+
+Array = np.ndarray[Any, Any]
+
+#: Residual at which samples are clipped, noise standard deviations.
+RESIDUAL_CLIP_SIGMAS = 3.0
+#: Cells along each side of a frame, and bands of rows, of what changes smoothly over it.
+CELLS, BANDS = 6, 24
+
+CAUSES = (
+    Message(
+        "rows-displaced",
+        "the rows of a frame are displaced against each other, as by vibration while a frame is read out (rolling "
+        "shutter), which blurs the scene. Hold the camera more firmly, or move it more slowly",
+    ),
+    Message(
+        "interlaced-frames",
+        "the frames are interlaced: their odd rows are of another time than their even ones, which is not modelled. "
+        "Record progressive frames, or keep every second row: frames[:, ::2]",
+    ),
+    Message(
+        "subpage-frames",
+        "the pixels of a frame are of two times, as on a chessboard (sub-pages), and the camera moves between the two. "
+        "Move it more slowly, or let it rest before each frame",
+    ),
+    Message(
+        "torn-frames", "torn frame(s), of two times above and below a row. Leave them out by data.frames"
+    ),
+    Message(
+        "unsharp-frames",
+        "some frames are less sharp than the others, by focus or by motion, and make the scene softer. Leave them out "
+        "by data.frames",
+    ),
+    Message(
+        "thermal-lag",
+        "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
+        "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
+        "data.fps=...` removes the lag",
+    ),
+    Message(
+        "parallax",
+        "parts of the frames move by different amounts, as near and far objects do (parallax). Use `deepir run flow`",
+    ),
+    Message(
+        "shading-changes",
+        "something smooth changes from frame to frame, as clouds, stray flux or a housing that warms: the scene is "
+        "uncertain by as much. Take the frames faster",
+    ),
+)
+
+
+def misfit(
+    residual: Array, precision: Array, whole: Array, flux: Array, gain: Array
+) -> tuple[Message, float, list[int]]:
+    """The cause that explains most of the residuals.
+
+    Args:
+        residual: Data less prediction, (N, h, w).
+        precision: Inverse noise variance, (N, h, w); zero where a sample does not count.
+        whole: The same with the samples that were given up as moving.
+        flux: On the detector, (N, h, w).
+        gain: Of the pixels, (1, h, w) or (N, h, w).
+
+    Returns:
+        Its message, its evidence in nats a sample (none of frames below 24 px), and the frames that show it most.
+    """
+    if min(residual.shape[1:]) < BANDS:
+        return CAUSES[0], 0.0, []
+    found = dict(causes(residual, precision, whole, flux, gain))
+    message = max(CAUSES, key=lambda each: float(found[each.name].sum()))
+    nats, count = found[message.name], int(np.count_nonzero(whole))
+    return message, float(nats.sum()) / max(1, count), np.flatnonzero(4 * nats > nats.max()).tolist()
+
+
+def causes(
+    residual: Array, precision: Array, whole: Array, flux: Array, gain: Array
+) -> Iterator[tuple[str, Array]]:
+    """Evidence of each cause: name of its message, and nats of each frame (N,); arguments as of `misfit`."""
+    before, after = np.zeros_like(flux), np.zeros_like(flux)
+    after[:-1] = flux[1:] - flux[:-1]
+    before[1:] = -after[:-1]
+    weight, white = _whitened(residual, whole)
+    torn = np.maximum(*(_torn(change * gain * weight, white) for change in (before, after)))
+    yield "torn-frames", torn - np.median(torn)  # in a few frames: in all of them it is a lag
+    weight, white = _whitened(residual, precision)
+    response = gain * weight
+    height, width = white.shape[1:]
+    slope = [_along(flux, axis, (-0.5, 0, 0.5)) * response for axis in (1, 2)]
+    curvature = [_along(flux, axis, (1, -2, 1)) for axis in (1, 2)]
+    curvature.append(_along(_along(flux, 1, (-0.5, 0, 0.5)), 2, (-0.5, 0, 0.5)))
+    rows = (np.arange(height, dtype=np.float32) % 2 * 2 - 1)[:, None]
+    chessboard = rows * (np.arange(width, dtype=np.float32) % 2 * 2 - 1)
+
+    yield "rows-displaced", np.maximum(*(_nats(slope, white, (n, 1)) for n in (BANDS, height)))
+    yield "interlaced-frames", _nats([each * rows for each in slope], white, (1, 1))
+    yield "subpage-frames", _nats([each * chessboard for each in slope], white, (1, 1))
+    yield "parallax", _nats(slope, white, (CELLS, CELLS))
+    yield "shading-changes", _nats([weight], white, (CELLS, CELLS))
+    yield "unsharp-frames", _nats([each * response for each in curvature], white, (1, 1), softer=True)
+    yield "thermal-lag", _nats([before * response], white, (1, 1))
+
+
+def _whitened(residual: Array, precision: Array) -> tuple[Array, Array]:
+    """Inverse standard deviation of the noise, and residuals in it, clipped and then of mean square one."""
+    weight = np.sqrt(precision)
+    weight[:, [0, -1]] = weight[:, :, [0, -1]] = 0  # where derivatives are not known
+    white = (residual * weight).clip(-RESIDUAL_CLIP_SIGMAS, RESIDUAL_CLIP_SIGMAS)
+    return weight, white / max(math.sqrt((white**2).sum() / max(1, int(np.count_nonzero(weight)))), 1e-30)
+
+
+def _along(images: Array, axis: int, taps: tuple[float, float, float]) -> Array:
+    """Images (N, h, w) filtered by three taps along an axis, zero at the edges."""
+    found, images = np.zeros_like(images).swapaxes(axis, 1), images.swapaxes(axis, 1)
+    first, second, third = taps
+    found[:, 1:-1] = first * images[:, :-2] + second * images[:, 1:-1] + third * images[:, 2:]
+    return found.swapaxes(axis, 1)
+
+
+def _nats(images: Sequence[Array], white: Array, grid: tuple[int, int], *, softer: bool = False) -> Array:
+    """Evidence (N,) of coefficients of images (N, h, w) that are free in each cell of a grid, and in each frame.
+
+    Args:
+        images: By which the residuals are explained, noise standard deviations.
+        white: Residuals, (N, h, w).
+        grid: Rows and columns of cells.
+        softer: Only of frames whose first two coefficients, of second derivatives, sum up to a blur.
+    """
+    starts = [np.arange(n) * side // n for n, side in zip(grid, white.shape[1:], strict=True)]
+
+    def summed(image: Array) -> Array:
+        rows = np.add.reduceat(image, starts[0], axis=1)
+        return np.add.reduceat(rows, starts[1], axis=2, dtype=float).reshape(len(image), -1)
+
+    score = np.stack([summed(image * white) for image in images], -1)  # (N, cells, p)
+    normal = np.stack([np.stack([summed(one * other) for other in images], -1) for one in images], -1)
+    scale = np.sqrt(np.einsum("...pp->...p", normal)).clip(1e-12)
+    normal = normal / scale[..., :, None] / scale[..., None, :] + 1e-6 * np.eye(len(images))
+    score = score / scale
+    found = np.linalg.solve(normal, score[..., None])[..., 0]
+    drop = (found * score).sum((1, 2))
+    if softer:
+        drop = np.where((found / scale)[..., :2].sum((1, 2)) > 0, drop, 0.0)
+    return np.asarray(drop - score[0].size * math.log(white[0].size)) / 2
+
+
+def _torn(change: Array, white: Array) -> Array:
+    """Evidence (N,) that the rows above or below one of them show another frame; change (N, h, w) to that."""
+    rows = np.stack([(change * white).sum(2), (change**2).sum(2)]).astype(float)
+    margin = white.shape[1] // 8
+    above = rows.cumsum(2)[..., margin:-margin]
+    parts = np.concatenate([above, rows.sum(2, keepdims=True) - above], axis=2)
+    drop = parts[0].clip(0) ** 2 / parts[1].clip(1e-12)
+    return np.asarray(drop.max(1) / 2 - math.log(white[0].size) / 2 - math.log(4 * white.shape[1]))
