@@ -87,6 +87,9 @@ bench-effects: setup  ## what each effect is worth: one left out at a time
 bench-recordings: setup  ## recordings of many kinds, ours and rivals, by what is known of each: hours, goes on
 	$(BIN)/python benchmarks/bench_recordings.py --workers $(WORKERS) --page
 
+bench-misfit: setup  ## faults of a burst, and whether they are named
+	$(BIN)/python benchmarks/misfit.py --workers $(WORKERS) --output docs/benchmarks/misfit.md
+
 bench-real: setup  ## real bursts, from the folder that DEEPIR_DATA names
 	$(BIN)/python benchmarks/real.py
 
@@ -102,4 +105,4 @@ bench-startup: setup  ## seconds from the start of a run to its end, beside torc
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-live bench-effects bench-frameworks bench-gpu bench-startup clean
+.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-live bench-effects bench-misfit bench-frameworks bench-gpu bench-startup clean

@@ -43,7 +43,12 @@ DATA_SETTINGS = (
     "data.radiometry",
     "data.crop",
 )  # of how a file is read
-RECORDING_SETTINGS = (*DATA_SETTINGS, "output.palette", "output.tones")  # of how it is read and displayed
+RECORDING_SETTINGS = (
+    *DATA_SETTINGS,
+    "data.frames",
+    "output.palette",
+    "output.tones",
+)  # of how it is read and displayed
 
 
 def load_plugins(modules: Sequence[str] | None) -> list[str]:

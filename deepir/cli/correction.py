@@ -59,10 +59,9 @@ def correct_file(
         try:
             with ThreadPoolExecutor(1) as beside, writer as write:
                 drawn = beside.submit(write_correction, own_picture, corrected)
-                lag = beside.submit(lambda: corrected.lag)
                 count = write_frames(follow(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
-                findings = list(findings_lines(corrected.estimate, lag.result()))
+                findings = list(findings_lines(corrected.estimate))
                 unit = str(metadata.get("unit", ""))
                 write_recording_report(own_page, corrected, str(data.path), unit, findings)
         except Interrupted:

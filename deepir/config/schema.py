@@ -23,6 +23,8 @@ class Raw(_Strict):
     #: Of a sample; None: unsigned, of one or two bytes by `bits`.
     type: Literal["uint8", "uint16", "int16", "uint32", "int32", "float32", "float64"] | None = None
     offset: int = Field(0, ge=0)  # bytes before the first frame
+    gap: int = Field(0, ge=0)  # bytes between frames
+    trailer: int = Field(0, ge=0)  # bytes after the last frame
     endian: Literal["little", "big"] = "little"
 
 

@@ -66,14 +66,18 @@ def read_samples(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[
     return np.fromfile(path, dtype, math.prod(shape), offset=offset).reshape(shape)
 
 
-def stream_planes(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int]) -> Iterator[Array]:
-    """The arrays `shape[1:]` of an array in C order; `offset`: bytes before its first sample. Else as `read_planes`."""
+def stream_planes(
+    path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int], gap: int = 0
+) -> Iterator[Array]:
+    """The arrays `shape[1:]` of an array in C order; `offset`: bytes before its first sample, `gap`: between arrays."""
     with path.open("rb") as file:
         file.seek(offset)
-        yield from read_planes(file, path, dtype, shape)
+        yield from read_planes(file, path, dtype, shape, gap)
 
 
-def read_planes(stream: IO[bytes], path: Path, dtype: np.dtype[Any], shape: Sequence[int]) -> Iterator[Array]:
+def read_planes(
+    stream: IO[bytes], path: Path, dtype: np.dtype[Any], shape: Sequence[int], gap: int = 0
+) -> Iterator[Array]:
     """The arrays `shape[1:]` of an array in C order.
 
     Args:
@@ -81,6 +85,7 @@ def read_planes(stream: IO[bytes], path: Path, dtype: np.dtype[Any], shape: Sequ
         path: The file, for messages.
         dtype: Of a sample, byte order included.
         shape: Of the whole array.
+        gap: Bytes between arrays.
 
     Raises:
         DataError: The stream ends before the array does.
@@ -91,3 +96,4 @@ def read_planes(stream: IO[bytes], path: Path, dtype: np.dtype[Any], shape: Sequ
         if len(data) < size:
             raise DataError(f"{path}: truncated: it ends within frame {number} of {shape[0]}")
         yield np.frombuffer(data, dtype).reshape(shape[1:])
+        stream.read(gap)

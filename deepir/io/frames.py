@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from deepir.io import readers
 from deepir.io.guards import judging_colours_in, masked, warn_once
 from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.checks import crop
-from deepir.io.inspection.samples import SAMPLED_FRAMES, have_wrapped, in_order, lost_samples, swapped
+from deepir.io.inspection.samples import SAMPLED_FRAMES, in_order, lost_samples, swapped, wrapped_type
 from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.raw import Headerless
 from deepir.io.readers.folder import burst_files
@@ -267,7 +268,33 @@ def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
     """`stream_frames` with the settings of a configuration, cropped."""
-    return cropped(stream_frames(str(data.path), **_layout(data)), data.crop)
+    frames = stream_frames(str(data.path), **_layout(data))
+    return cropped(frames if data.frames is None else _chosen(frames, data.frames), data.crop)
+
+
+def _chosen(frames: Iterator[Array], select: str | int | Sequence[int]) -> Iterator[Array]:
+    """The frames of a stream that `data.frames` names, counted from its start."""
+    wrong = DataError(
+        f"data.frames={select!r} names no frames of the recording. Give a count (8), a slice ('2:10', '::2') or a list "
+        "of frame numbers ([0, 3, 5]), counted from the start"
+    )
+    try:
+        which = _indices(select)
+    except ValueError:
+        raise wrong from None
+    ends = (which.start, which.stop, which.step) if isinstance(which, slice) else tuple(which)
+    if any(end is not None and end < 0 for end in ends):
+        raise wrong
+    numbered = enumerate(frames)
+    chosen = (
+        itertools.islice(numbered, *ends)
+        if isinstance(which, slice)
+        else (k for k in numbered if k[0] in ends)
+    )
+    first = next(chosen, None)
+    if first is None:
+        raise wrong
+    return (frame for _, frame in itertools.chain((first,), chosen))
 
 
 def cropped(frames: Iterable[Array], box: Sequence[int] | None) -> Iterator[Array]:
@@ -308,13 +335,16 @@ def _first_frames(frames: Iterable[Array], count: int) -> Array:
 
 
 def _unwrapped(pieces: Iterable[Array], source: str) -> Iterator[Array]:
-    """Signed counts as unsigned ones, from the first piece on in which those above 32767 have become negative."""
-    wrapped = False
+    """Counts of the type that they were recorded in, from the first piece on that has passed an end of its range."""
+    whole: type[np.generic] | None = None
     for piece in pieces:
-        if not wrapped and (have_wrapped(piece) or any(map(have_wrapped, piece if piece.ndim == 3 else ()))):
-            wrapped = True
-            warn_once(f"{source}: counts above 32767 are stored as negative ones; they are read as unsigned")
-        yield piece.astype(piece.dtype.newbyteorder("=")).view(np.uint16) if wrapped else piece
+        if whole is None:
+            parts = [piece, *piece] if piece.ndim == 3 else [piece]
+            whole = next((found for each in parts if (found := wrapped_type(each)) is not None), None)
+            if whole is not None:
+                before, after = ("above 32767", "negative") if whole is np.uint16 else ("below zero", "large")
+                warn_once(f"{source}: counts {before} are stored as {after} ones; they are read as they were")
+        yield piece if whole is None else piece.astype(piece.dtype.newbyteorder("=")).view(whole)
 
 
 def digest(path: str | os.PathLike[str]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,15 @@ import numpy as np
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.file_bytes import read_samples, stream_planes
+from deepir.io.guards import check_size, warn_once
 from deepir.io.readers import Array, Reader
+
+MIN_WIDTH, MIN_ROWS = 24, 8  # px of a width that is looked for, and rows of it
+OUTLIER = 8.0  # medians of a change, at which changes are clipped
+MIN_RECURRENCE = 0.1  # correlation of changes one row below
+#: Ratio of that correlation to the one at the width that was given, at a smaller and at a larger width: rows of
+#: interlaced frames continue each other at twice the width.
+WIDTH_RATIOS = 1.1, 1.5
 
 
 @dataclass(frozen=True)
@@ -28,28 +37,58 @@ class Headerless(Reader):
             DataError: The file does not hold a whole number of such frames.
         """
         dtype, shape = stored_array(path, self.layout)
-        samples = read_samples(path, dtype, self.layout.offset, shape)
-        return clear_unused_bits(samples, self.layout)
+        if self.layout.gap:
+            check_size(path, math.prod(shape) * dtype.itemsize, path.stat().st_size)
+            return np.stack(list(self.stream(path, key)))
+        samples = clear_unused_bits(read_samples(path, dtype, self.layout.offset, shape), self.layout)
+        _hint_at_width(samples[0], path)
+        return samples
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Frame after frame (h, w)."""
         dtype, shape = stored_array(path, self.layout)
-        for frame in stream_planes(path, dtype, self.layout.offset, shape):
-            yield clear_unused_bits(frame, self.layout)
+        gap = self.layout.gap
+        for number, stored in enumerate(stream_planes(path, dtype, self.layout.offset, shape, gap)):
+            frame = clear_unused_bits(stored, self.layout)
+            if number == 0:
+                _hint_at_width(frame, path)
+            yield frame
 
 
 def stored_array(path: Path, layout: Raw) -> tuple[np.dtype[Any], tuple[int, int, int]]:
     """Type and shape (N, h, w) of the samples."""
     dtype = sample_type(layout)
     frame = layout.height * layout.width * dtype.itemsize
-    stored = path.stat().st_size - layout.offset
-    if stored <= 0 or stored % frame:
+    stored = max(0, path.stat().st_size - layout.offset - layout.trailer)
+    count, rest = divmod(stored + layout.gap, frame + layout.gap)
+    if not count or rest not in (0, layout.gap):
+        spare = f", {count} frame(s) and {rest:,} bytes: if these are no picture, data.raw.trailer={rest} skips them"
         raise DataError(
-            f"{path}: data.raw does not fit: after {layout.offset} bytes there are {max(stored, 0):,}, and a frame of "
+            f"{path}: data.raw does not fit: after {layout.offset} bytes there are {stored:,}, and a frame of "
             f"{layout.height} x {layout.width} px of {8 * dtype.itemsize if layout.type else layout.bits} bits takes "
-            f"{frame:,}"
+            f"{frame:,}{spare if count else ''}"
         )
-    return dtype, (stored // frame, layout.height, layout.width)
+    return dtype, (count, layout.height, layout.width)
+
+
+def _hint_at_width(frame: Array, path: Path) -> None:
+    """Warn if rows of another width continue each other better: changes along a row recur in the one below."""
+    height, width = frame.shape
+    change = np.diff(frame.ravel().astype(float))
+    spread = np.median(np.abs(change))
+    change = np.clip(change - np.median(change), -OUTLIER * spread, OUTLIER * spread)
+    spectrum = np.fft.rfft(change, 2 * len(change))
+    recurs = np.fft.irfft(np.abs(spectrum) ** 2)[: len(change) // MIN_ROWS]
+    if len(recurs) <= max(width, MIN_WIDTH) or not recurs[0] > 0:
+        return
+    best = MIN_WIDTH + int(recurs[MIN_WIDTH:].argmax())
+    ratio = WIDTH_RATIOS[best > width]
+    if recurs[best] > MIN_RECURRENCE * recurs[0] and recurs[best] > ratio * recurs[width]:
+        other = f" data.raw.height={height * width // best}" if height * width % best == 0 else ""
+        warn_once(
+            f"{path}: rows of {width} px do not continue each other, as rows of {best} px would: stripes instead of a "
+            f"picture? Try data.raw.width={best}{other}"
+        )
 
 
 def sample_type(layout: Raw) -> np.dtype[Any]:

@@ -15,19 +15,13 @@ from deepir.io import write_npz
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.segments import Segment, estimate_segments, segment_at
-from deepir.recording.thermal_lag import NeighbouringFrames, ThermalLag, thermal_lag
 
 Array = np.ndarray[Any, Any]
 FEW = 10  # frames, of fewer of which all are needed, whatever they are worth
 
 
-def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator[str]:
-    """Lines on how the frames register, how sure the offset is, and thermal lag.
-
-    Args:
-        estimate: of the sensor.
-        lag: of the pixels; None if it was not estimated.
-    """
+def findings_lines(estimate: SensorEstimate) -> Iterator[str]:
+    """Lines on how the frames register, and how sure the offset of an estimate is."""
     if np.isfinite(estimate.motion_error):
         yield "motion: the frames register as a whole, and were solved together with their scene"
     else:
@@ -37,15 +31,6 @@ def findings_lines(estimate: SensorEstimate, lag: ThermalLag | None) -> Iterator
         yield (
             f"offset: standard deviation {found:.3g}, uncertain by {left:.2g} (root mean square over the pixels)"
         )
-    if lag is None:
-        yield "thermal lag: not judged, too little of the scene is seen at several speeds"
-    elif lag.is_seen:
-        yield (
-            f"thermal lag: about {lag.time_constant:.1g} of the time between two frames. It blurs motion; it is not "
-            "corrected, as that would raise the noise"
-        )
-    else:
-        yield "thermal lag: none is seen"
 
 
 @dataclass(frozen=True)
@@ -56,13 +41,11 @@ class CorrectedRecording:
         read: Reads the recorded frames from the start.
         segments: The parts of the recording with one fixed pattern each; most have one.
         keyframes: That the sensor was estimated from.
-        neighbours: Runs of frames that thermal lag is estimated from.
     """
 
     read: Callable[[], Iterator[Array]]
     segments: list[Segment]
     keyframes: Keyframes
-    neighbours: NeighbouringFrames
 
     @classmethod
     def of(
@@ -81,13 +64,12 @@ class CorrectedRecording:
         Raises:
             DataError: It has few frames, or the camera stands still.
         """
-        neighbours = NeighbouringFrames()
-        keyframes = choose_keyframes(neighbours.collect(track(read())))
+        keyframes = choose_keyframes(track(read()))
         if of_few is not None and keyframes.length < FEW:
             segments = [Segment(0, keyframes.length - 1, of_few(np.stack(list(read()))))]
         else:
             segments = estimate_segments(keyframes)
-        return cls(read, segments, keyframes, neighbours)
+        return cls(read, segments, keyframes)
 
     def __len__(self) -> int:
         return self.keyframes.length
@@ -116,12 +98,6 @@ class CorrectedRecording:
     def maps(self) -> CorrectionMaps:
         """Gain, offset and bad pixels of the same time, as `deepir apply` takes them: frame = gain scene + offset."""
         return next(each.maps for each in reversed(self.segments) if each.estimate)
-
-    @functools.cached_property
-    def lag(self) -> ThermalLag | None:
-        """Of the pixels; None where too little of the scene is seen at several speeds."""
-        runs = zip(self.neighbours.numbers, self.neighbours.runs, strict=True)
-        return thermal_lag([np.stack([self.correct(frame, number) for frame in run]) for number, run in runs])
 
     def correct(self, frame: Array, number: int | None = None) -> Array:
         """Correct a frame (h, w) of this camera, in the recording's units.

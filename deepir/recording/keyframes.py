@@ -15,6 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from deepir.arrays.samples import as_float32
+from deepir.io.guards import warn_once
+from deepir.recording.defective_pixels import noise_deviation
 
 Array = np.ndarray[Any, Any]
 T = TypeVar("T")
@@ -33,6 +35,9 @@ SPACINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # frames
 SHORT_SIDE = 48  # px, shorter side of the averaged frames whose changes are measured
 #: Frames of a short recording, which is kept whole.
 SHORT = GROUP_SIZE * MAX_GROUPS
+#: Differences of neighbouring samples, relative to those of usual frames, above which a frame is no picture of them.
+MAX_DETAIL_RATIO = 8.0
+ROW_STRIDE, MAX_NAMED = 4, 12  # rows that are looked at, and frames that are named
 
 
 @dataclass(frozen=True)
@@ -98,11 +103,21 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
         shown = [k for k in range(len(head)) if k == 0 or not np.array_equal(head[k], head[k - 1])]
         spacing, _ = motion_spacing(np.stack([coarse(head[k]) for k in shown[:WINDOW]]))
         kept = [(k, head[k], spacing) for k in shown]
-        return ChosenFrames.of_groups([kept], len(head)).copied()
+        return _pictures(ChosenFrames.of_groups([kept], len(head)).copied())
     collector = KeyframeCollector()
     for frame in chain(head, stream):
         collector.add(frame)
-    return ChosenFrames.of_groups(collector.groups, collector.length).copied()
+    return _pictures(ChosenFrames.of_groups(collector.groups, collector.length).copied())
+
+
+def _pictures(keyframes: Keyframes) -> Keyframes:
+    """The keyframes without those whose samples differ far more from each other, as numbers of a calibration do."""
+    detail = np.array([noise_deviation(frame[None, ::ROW_STRIDE]) for frame in keyframes.frames])
+    odd = detail > MAX_DETAIL_RATIO * np.median(detail)
+    if odd.any():
+        numbers = ", ".join(map(str, keyframes.numbers[odd][:MAX_NAMED]))
+        warn_once(f"frame(s) {numbers} are no pictures like the others and are left out of the estimate")
+    return keyframes.subset(~odd) if odd.any() else keyframes
 
 
 @dataclass(frozen=True)

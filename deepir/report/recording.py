@@ -37,7 +37,7 @@ def write_recording_report(
         corrected: The recording.
         source: Its file.
         unit: Of its values; "" if it has none.
-        findings: Lines on motion, offset and lag.
+        findings: Lines on motion and offset.
     """
     data = {
         "title": "correction",

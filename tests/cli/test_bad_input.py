@@ -255,6 +255,7 @@ COMMANDS = {
     "apply maps.npz burst.npz --output a.avi": ["a.avi: a recording is written as .tif"],
     "apply maps.npz burst.npz --output nowhere/a.tif": ["cannot be written"],
     "apply maps.npz burst.npz prior=tv": ["prior=tv: only settings of data.key, data.raw"],
+    "apply maps.npz burst.npz data.frames=9:": ["names no frames of the recording", "counted from the start"],
     "apply maps.npz burst.npz output.palette=iron": ["'white-hot' or 'black-hot' or 'ironbow'"],
     "calibrate maps.npz burst.npz": ["maps.npz exists; replace it with --overwrite"],
     "calibrate a.tif burst.npz": ["give a file name that ends in .npz"],

@@ -7,7 +7,7 @@ import tifffile
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import read_frames, stream_frames
-from deepir.io.inspection.samples import are_swapped, have_wrapped
+from deepir.io.inspection.samples import are_swapped, wrapped_type
 from deepir.simulate import Settings, simulate
 
 
@@ -62,15 +62,52 @@ def test_counts_that_have_become_negative_are_read_as_they_were(tmp_path, frames
     high = (frames.astype(int) - int(np.median(frames)) + 2**15).astype(np.uint16)
     np.save(tmp_path / "a.npy", high.view(np.int16))
     np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, high)
-    assert "read as unsigned" in caplog.text
+    assert "counts above 32767 are stored as negative ones" in caplog.text
     np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npy")), high)
 
 
 def test_signed_numbers_stay_signed(frames):
     celsius = (frames.astype(int) - int(np.median(frames))).astype(np.int16)
-    assert not have_wrapped(celsius)
+    assert wrapped_type(celsius) is None
     celsius[:, :3] = -32768
-    assert not have_wrapped(celsius)
+    assert wrapped_type(celsius) is None
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.9])
+def test_counts_below_zero_that_have_become_large_are_read_as_they_were(tmp_path, frames, caplog, share):
+    low = frames.astype(int) - int(np.quantile(frames, share))
+    np.save(tmp_path / "a.npy", low.astype(np.uint16))
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, low)
+    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npy")), low)
+    assert "counts below zero are stored as large ones" in caplog.text
+
+
+def test_a_hot_object_and_pixels_at_full_scale_have_not_wrapped(frames):
+    hot = frames.copy()
+    hot[:, 10:20, 10:20] = 60000
+    hot[:, 5, 5:9] = 65535
+    assert wrapped_type(hot) is None
+
+
+def test_bytes_between_and_after_frames_are_skipped(tmp_path, frames):
+    (tmp_path / "a.raw").write_bytes(b"".join(each.tobytes() + b"12345" for each in frames) + b"end")
+    with pytest.raises(DataError, match=r"data\.raw\.trailer="):
+        read_frames(tmp_path / "a.raw", raw=Raw(width=64, height=48))
+    layout = Raw(width=64, height=48, gap=5, trailer=3)
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.raw", raw=layout).frames, frames)
+    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.raw", raw=layout)), frames)
+    (tmp_path / "b.raw").write_bytes(frames[0].tobytes() + b"end")
+    np.testing.assert_array_equal(
+        read_frames(tmp_path / "b.raw", raw=Raw(width=64, height=48, trailer=3)).frames, frames[:1]
+    )
+
+
+@pytest.mark.parametrize(("width", "height"), [(48, 64), (128, 24), (96, 32), (64, 48)])
+def test_a_wrong_width_is_named_with_the_one_at_which_rows_continue(tmp_path, frames, caplog, width, height):
+    (tmp_path / "a.raw").write_bytes(frames.tobytes())
+    read_frames(tmp_path / "a.raw", raw=Raw(width=width, height=height))
+    said = "Try data.raw.width=64 data.raw.height=48" in caplog.text
+    assert said == (width != 64)
 
 
 @pytest.mark.parametrize("count", [8, 20])

@@ -39,6 +39,26 @@ def test_counts_of_fewer_bits_than_sixteen_are_not_stretched(tmp_path, burst, bi
     np.testing.assert_array_equal(read_frames(tmp_path / "a.mkv").frames, frames)
 
 
+def test_of_two_films_in_one_file_the_grey_one_is_read(tmp_path, burst):
+    import av
+
+    height, width = burst.shape[1:]
+    with av.open(tmp_path / "a.mkv", "w") as container:
+        tracks = [container.add_stream(codec, rate=9) for codec in ("mpeg4", "ffv1")]
+        for track, pixels in zip(tracks, ("yuv420p", "gray16le"), strict=True):
+            track.width, track.height, track.pix_fmt = width, height, pixels
+        for number, grey in enumerate(burst):
+            colour = np.random.default_rng(number).integers(0, 255, (height, width, 3), np.uint8)
+            shown = (colour, "rgb24"), (grey.astype(np.uint16), "gray16le")
+            for track, (values, kind) in zip(tracks, shown, strict=True):
+                frame = av.VideoFrame.from_ndarray(values, format=kind)
+                frame.pts = number
+                container.mux(track.encode(frame))
+        for track in tracks:
+            container.mux(track.encode())
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.mkv").frames, burst)
+
+
 def yuv(path, luma, codec="libx264", stored="yuv420p", colour_range=None, box=None):
     """A film of these luma (N, h, w), colourless but for a box [y0, y1, x0, x1]."""
     import av

@@ -51,3 +51,11 @@ def test_pairs_are_spread_evenly():
     pairs = [(k, k + 1) for k in range(100)]
     assert spread(pairs, 3) == [(0, 1), (49, 50), (99, 100)]
     assert spread(pairs[:2], 3) == pairs[:2]
+
+
+def test_frames_of_numbers_are_no_keyframes(caplog):
+    frames = pan(40, 2.0) + np.random.default_rng(1).normal(0, 3, (40, 48, 64))
+    frames[:4] = np.random.default_rng(2).uniform(0, 16383, (4, 48, 64))
+    chosen = choose_keyframes(iter(frames))
+    assert chosen.numbers.tolist() == list(range(4, 40))
+    assert "frame(s) 0, 1, 2, 3 are no pictures" in caplog.text

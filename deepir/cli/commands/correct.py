@@ -39,8 +39,8 @@ def correct(
 
     Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`), and to look at a report
     (OUTPUT.html) and a picture (OUTPUT.png).
-    The recording may be larger than the memory. Settings: data.key, data.raw, data.axes, data.crop, data.swap_bytes,
-    data.radiometry, output.palette, output.tones.
+    The recording may be larger than the memory. Settings: data.key, data.frames, data.raw, data.axes, data.crop,
+    data.swap_bytes, data.radiometry, output.palette, output.tones.
 
     deepir correct FOLDER --output-dir DIR corrects all recordings of a folder; one JSON line each. What is done already
     is skipped, so the same command goes on where it was interrupted.

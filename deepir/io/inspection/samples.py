@@ -215,13 +215,34 @@ def are_swapped(frames: Array) -> bool:
     return (varied and other < MAX_ROUGHNESS_RATIO * here) or here > MIN_ROUGHNESS_RATIO * other > 0
 
 
-def have_wrapped(frames: Array) -> bool:
-    """Whether counts above 32767 have become negative in signed 16-bit samples (..., h, w), none around zero."""
-    if frames.dtype.newbyteorder("=") != np.int16:
-        return False
-    some = _some(frames).view(np.int16)
-    above, below = some >= SIGNED_GAP, (some < -SIGNED_GAP) & (some > np.iinfo(np.int16).min + 1)
-    return bool(above.any() and below.any() and 1 - (above | below).mean() < MAX_IN_GAP)
+def wrapped_type(frames: Array) -> type[np.generic] | None:
+    """The type as which 16-bit samples (..., h, w) that passed an end of their range are whole again, None if none did.
+
+    Signed ones above 32767 have become negative, unsigned ones below zero large: none lies between, and pictures step
+    from one end to the other.
+    """
+    kind = frames.dtype.newbyteorder("=")
+    if kind not in (np.dtype(np.int16), np.dtype(np.uint16)):
+        return None
+    some = _some(frames)
+    signed = some.view(np.int16)
+    if kind == np.int16:
+        above, below = signed >= SIGNED_GAP, (signed < -SIGNED_GAP) & (signed > np.iinfo(np.int16).min + 1)
+        found: type[np.generic] = np.uint16
+    else:
+        above = signed >= 0
+        below = (signed < -1) & (signed > -SIGNED_GAP)  # 65535 is a fill value
+        ends = (some < SIGNED_GAP) & above
+        if not ends.any() or _steps(some) < MIN_ROUGHNESS_RATIO * _steps(signed):
+            return None
+        found = np.int16
+    whole = above.any() and below.any() and 1 - (above | below).mean() < MAX_IN_GAP
+    return found if whole else None
+
+
+def _steps(samples: Array) -> float:
+    """Mean step along the rows of samples (N, h, w)."""
+    return float(np.abs(np.diff(samples.astype(np.float32))).mean()) if samples.shape[-1] > 1 else 0.0
 
 
 def _some(frames: Array) -> Array:

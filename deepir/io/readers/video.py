@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -50,10 +50,11 @@ class Video(Reader):
         with _opened(path) as container:
             if not container.streams.video:
                 raise DataError(f"{path}: a film without pictures")
-            context = container.streams.video[0].codec_context
+            film = _grey_film(container.streams.video)
+            context = film.codec_context
             if context is None and (size := _y16_size(path)) is not None:
                 check_size(path, 2 * math.prod(size), path.stat().st_size)
-                for packet in container.demux(video=0):
+                for packet in container.demux(film):
                     if packet.size:
                         yield np.frombuffer(packet, "<u2").reshape(size)
                 return
@@ -64,7 +65,7 @@ class Video(Reader):
                 )
             check_size(path, 2 * context.width * context.height, path.stat().st_size, compressed=True)
             as_stored: bool | None = None  # whether luma are the counts, and not 16 to 235 for 0 to 255
-            for frame in _counted(container, path):
+            for frame in _counted(container, film, path):
                 deep = any(component.bits > 8 for component in frame.format.components)
                 grey = "gray16le" if deep else "gray"
                 name = frame.format.name
@@ -89,10 +90,18 @@ class Video(Reader):
                 yield masked(counts, coloured)
 
 
-def _counted(container: Any, path: Path) -> Iterator[Any]:
+def _grey_film(films: Sequence[Any]) -> Any:
+    """The first grey one of the films in a file, as of a thermal camera beside another; else the first."""
+    grey = (
+        each for each in films if each.codec_context and str(each.codec_context.pix_fmt).startswith("gray")
+    )
+    return next(grey, films[0])
+
+
+def _counted(container: Any, film: Any, path: Path) -> Iterator[Any]:
     """The decoded frames of a film; a warning at the end if it lacks many of those that its header announces."""
-    count, announced = 0, container.streams.video[0].frames  # 0: not announced
-    for frame in container.decode(video=0):
+    count, announced = 0, film.frames  # 0: not announced
+    for frame in container.decode(film):
         count += 1
         yield frame
     if count < MIN_SHARE_OF_ANNOUNCED * announced:
