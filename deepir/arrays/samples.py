@@ -8,6 +8,9 @@ import numpy as np
 from scipy import fft
 
 Array = np.ndarray[Any, Any]
+#: Standard deviation of a Gaussian, per median absolute deviation.
+MAD_TO_SIGMA = 1.4826
+CHI_SQUARED_MEDIAN = MAD_TO_SIGMA**-2  # of one degree of freedom
 #: Largest lag along an axis, px.
 MAX_LAG = 50
 

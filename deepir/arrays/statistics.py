@@ -7,11 +7,9 @@ import math
 import torch
 from torch import Tensor
 
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.threads import is_compiled
 
-#: Standard deviation of a Gaussian, per median absolute deviation.
-MAD_TO_SIGMA = 1.4826
-CHI_SQUARED_MEDIAN = MAD_TO_SIGMA**-2  # of one degree of freedom
 #: Numbers from which the compiled median is faster than that of torch.
 MIN_SIZE_OF_COMPILED_MEDIAN = 5_000
 #: Samples of a frame that suffice for a median or a mean.

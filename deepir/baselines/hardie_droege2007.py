@@ -16,7 +16,7 @@ from deepir.arrays.statistics import sample_noise
 from deepir.assembly.problem import build
 from deepir.baselines.average import register_burst, result_of
 from deepir.burst import Burst
-from deepir.closed_form.normal_equations import conjugate_gradient
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.config import Config
 from deepir.errors import ConfigError
 from deepir.operators import Chain, Sensor

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.kernels.threads import is_compiled
 
 #: Relative residual at which conjugate gradients stop.
@@ -19,49 +19,6 @@ MAX_ITERATIONS = 200
 MAX_LINE_SIGMA_RATIO = 30
 #: Relative residual at which conjugate gradients stop if the system is in float32.
 FLOAT32_TOLERANCE = 1e-9
-
-
-def conjugate_gradient(
-    multiply: Callable[[Tensor], Tensor],
-    rhs: Tensor,
-    start: Tensor,
-    *,
-    precondition: Callable[[Tensor], Tensor],
-    tolerance: float,
-    max_iterations: int,
-) -> Tensor:
-    """Solve `A x = b` for a symmetric positive definite matrix A.
-
-    Args:
-        multiply: `x -> A x`, on vectors (n,).
-        rhs: b, (n,).
-        start: First iterate, (n,).
-        precondition: `r -> M r` with M close to the inverse of A; symmetric positive definite.
-        tolerance: Norm of the residual, relative to that of b, at which to stop; in the metric of M.
-        max_iterations: Most iterations.
-
-    Returns:
-        The last iterate, (n,); not finite if `rhs` is not.
-
-    Source: Hestenes and Stiefel 1952, "Methods of conjugate gradients for solving linear systems".
-    """
-    residual = rhs - multiply(start)
-    x = start + 0 * residual  # NaN and infinity stay visible
-    preconditioned = precondition(residual)
-    direction = preconditioned
-    rho, goal = residual @ preconditioned, tolerance**2 * (rhs @ precondition(rhs))
-    for _ in range(max_iterations):
-        if not rho > goal:
-            break
-        conjugate = multiply(direction)
-        alpha = rho / (direction @ conjugate)
-        x += alpha * direction
-        residual = residual - alpha * conjugate  # `precondition` may have returned it
-        preconditioned = precondition(residual)
-        previous_rho, rho = rho, residual @ preconditioned
-        beta = rho / previous_rho
-        direction = preconditioned + beta * direction
-    return x
 
 
 def weighted_least_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:

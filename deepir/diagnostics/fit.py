@@ -12,8 +12,8 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.arrays.samples import Array, autocorrelation
-from deepir.arrays.statistics import MAD_TO_SIGMA, median
+from deepir.arrays.samples import MAD_TO_SIGMA, Array, autocorrelation
+from deepir.arrays.statistics import median
 from deepir.diagnostics.misfit import misfit
 from deepir.messages import Message
 from deepir.operators import Sensor, Warp

@@ -15,7 +15,8 @@ import torch.nn.functional as F
 from scipy.special import chdtri
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
+from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.statistics import subsample
 from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import temporal_mean

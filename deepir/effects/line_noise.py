@@ -7,7 +7,8 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, median_sigma
+from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.statistics import masked_values, median, median_sigma
 from deepir.effects.effect import Effect, Rounds
 from deepir.estimation.residuals import has_line_noise, line_noise_fields
 from deepir.fields.line_noise import LineNoise

@@ -11,7 +11,8 @@ import torch.nn.functional as F
 from scipy.ndimage import find_objects, label
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA, masked_values, median, median_sigma
+from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.statistics import masked_values, median, median_sigma
 from deepir.arrays.windows import box_sum
 from deepir.effects.effect import Effect
 from deepir.messages import Message

@@ -8,11 +8,14 @@ estimate takes several times as long. So only layers of networks have torch's th
 from __future__ import annotations
 
 import contextlib
+import os
+import sys
 from collections.abc import Iterator
 from contextvars import ContextVar
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+if TYPE_CHECKING:
+    from torch import Tensor
 
 #: Largest entry of a homography: beyond, coordinates overflow in float32.
 MAX_ENTRY = 1e6
@@ -37,7 +40,8 @@ def is_compiled(value: Tensor) -> bool:
 
 def available() -> int:
     """Number of threads of an estimate that is given none."""
-    return min(torch.get_num_threads(), MAX_THREADS)
+    torch = sys.modules.get("torch")  # without it, what needs it has not run
+    return min(torch.get_num_threads() if torch else os.cpu_count() or 1, MAX_THREADS)
 
 
 def count() -> int:
@@ -66,9 +70,12 @@ def for_layers(wanted: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _threads_of_torch(number: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(number)
+    torch = sys.modules.get("torch")
+    before = torch.get_num_threads() if torch else 0
     try:
+        if torch:
+            torch.set_num_threads(number)
         yield
     finally:
-        torch.set_num_threads(before)
+        if torch:
+            torch.set_num_threads(before)

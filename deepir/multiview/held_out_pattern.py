@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
 from deepir.multiview.pattern import median_pattern
 from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled

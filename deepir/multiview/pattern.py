@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.fft import dctn, idctn
 from torch import Tensor
 
-from deepir.closed_form.normal_equations import conjugate_gradient
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading

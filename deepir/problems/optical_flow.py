@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.effects.effect import Effect
 from deepir.effects.sensor_pattern import ReferenceLevel
 from deepir.errors import ConfigError

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import fft, ndimage
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.bspline import warp
 from deepir.kernels.compile import parallel_for
 

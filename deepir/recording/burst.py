@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.statistics import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA
 from deepir.errors import DataError
 from deepir.recording.alignment import (
     REFINE_SIGMA,

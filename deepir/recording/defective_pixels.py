@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.median_filter import median_filter
 
 Array = np.ndarray[Any, Any]

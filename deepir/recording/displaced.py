@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
 from deepir.recording.defective_pixels import noise_deviation
 from deepir.recording.joint_solve import LowOrderSystem, low_order_step

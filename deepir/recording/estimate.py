@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.calibration import CorrectionMaps
 from deepir.diagnostics.misfit import misfit
 from deepir.errors import DataError

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy import linalg
 
-from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.recording.burst import SHIFT_ERROR, Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, idct
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import fft, ndimage
 
-from deepir.arrays.statistics import CHI_SQUARED_MEDIAN
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.recording.alignment import centred, motion_gradients, weighted_mean
 
 Array = np.ndarray[Any, Any]

@@ -12,15 +12,14 @@ Source: Weiss, "Deriving intrinsic images from image sequences", ICCV 2001, with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.fft import dctn, idctn
-from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
-from deepir.closed_form.normal_equations import conjugate_gradient
+from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.kernels.compile import parallel_for
 from deepir.kernels.gradients import shared_gradients
 
@@ -97,27 +96,26 @@ def _integrated(gradients: list[Array], weights: list[Array]) -> Array:
     curvature = np.mean([weight.mean() for weight in weights]) * (y[:, None] + x)
     curvature[0, 0] = np.inf  # the level stays zero
 
-    def flat(values: Any) -> Tensor:
-        return torch.from_numpy(np.asarray(values).ravel())
+    def combined(edges: Sequence[Array]) -> Array:
+        return np.ravel(sum(_adjoint(weights[axis] * edges[axis], axis) for axis in (0, 1)))
 
-    def normal(offset: Tensor) -> Tensor:
-        steps = [np.diff(offset.numpy().reshape(height, width), axis=axis) for axis in (0, 1)]
-        return flat(sum(_adjoint(weights[axis] * steps[axis], axis) for axis in (0, 1)))
+    def normal(offset: Array) -> Array:
+        return combined([np.diff(offset.reshape(height, width), axis=axis) for axis in (0, 1)])
 
-    def precondition(rest: Tensor) -> Tensor:
-        spectrum = dctn(rest.numpy().reshape(height, width), norm="ortho", workers=-1) / curvature
-        return flat(idctn(spectrum, norm="ortho", workers=-1))
+    def precondition(rest: Array) -> Array:
+        spectrum = dctn(rest.reshape(height, width), norm="ortho", workers=-1) / curvature
+        return np.ravel(idctn(spectrum, norm="ortho", workers=-1))
 
-    score = flat(sum(_adjoint(weights[axis] * gradients[axis], axis) for axis in (0, 1)))
+    score = combined(gradients)
     solution = conjugate_gradient(
         normal,
         score,
-        torch.zeros_like(score),
+        np.zeros_like(score),
         precondition=precondition,
         tolerance=PCG_TOLERANCE,
         max_iterations=PCG_STEPS,
     )
-    return solution.numpy().reshape(height, width)
+    return np.asarray(solution).reshape(height, width)
 
 
 def _adjoint(edges: Array, axis: int) -> Array:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.operators.motion_models import PARAMETERS, generators, increment, relative
 from deepir.registration.preprocess import Level, sample
 

@@ -10,7 +10,7 @@ import torch
 from scipy.ndimage import binary_dilation, binary_opening, label, uniform_filter
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.operators.motion_models import identity, relative
 from deepir.registration.alignment import Alignment, accept_by_misfit, estimate_pattern
 from deepir.registration.block_likelihood import (

@@ -13,7 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA, subsample
+from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.statistics import subsample
 from deepir.arrays.windows import median_filter
 
 MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it before the logarithm

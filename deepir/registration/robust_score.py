@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.registration.block_likelihood import DISTINCT_DISTANCE, corner_distance
 from deepir.registration.preprocess import Level, sample
 from deepir.registration.shift_likelihood import match_to_reference

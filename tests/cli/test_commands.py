@@ -15,6 +15,7 @@ from PIL import Image
 import deepir as package
 from deepir.cli import app
 from deepir.simulate import Settings, simulate
+from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 COMMANDS = [each.name for each in app.registered_commands]
 
@@ -49,6 +50,18 @@ def test_a_burst_is_described_and_a_run_analysed_without_torch(folder):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "this burst: 3 frames" in done.stdout
+
+
+def test_a_recording_is_corrected_without_torch(folder):
+    recording = simulate_recording(RecordingSettings(kind="pan", n_frames=40, shape=(96, 112)), seed=1)
+    np.savez("pan.npz", frames=recording.frames)
+    code = (
+        "import sys; sys.modules.update(torch=None, kornia=None); from deepir.cli import main; "
+        "apply = ['apply', 'pan_corrected_maps.npz', 'pan.npz', '--output', 'a.tif']; "
+        "sys.exit(main(['correct', 'pan.npz']) or main(apply))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_python_runs_the_package_which_says_its_version():

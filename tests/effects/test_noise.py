@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepir.arrays.statistics import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.effects.noise import HUBER_CONSISTENCY, HUBER_K, estimate_noise, huber_scale
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepir.closed_form.normal_equations import conjugate_gradient
+from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.multiview.gradients import SHARE, Edges, likeliest_tail
 
