@@ -6,12 +6,15 @@ import torch
 
 import deepir
 from deepir.effects.bad_pixels import (
+    STATIC_PROBABILITY,
     dead_pixels,
     misfitting_pixels,
     neighbourhood_doubt,
     overlay_mask,
     pattern_outliers,
+    region_message,
     static_pixels,
+    still_region,
     with_scene_error,
 )
 from deepir.simulate import Settings, simulate
@@ -76,6 +79,17 @@ def test_a_box_drawn_over_moving_pictures_is_found_to_its_middle_that_expects_it
     frames[:, 0, box[0, 0]] = 50.0
     expected[..., 8:12, 6:20] = 50.0
     assert torch.equal(overlay_mask(static_pixels(frames, usable, 1.0), expected, usable, 1.0), box)
+
+
+def test_a_bonnet_that_shows_noise_before_a_scene_that_moves_is_given_up():
+    expected, usable = moving(), torch.ones(6, 1, 40, 50) > 0
+    frames = expected + torch.randn(6, 1, 40, 50)
+    frames[..., 28:, :] = frames[:1, :, 28:] + torch.randn(6, 1, 12, 50)
+    still = static_pixels(frames, usable, 1.5, STATIC_PROBABILITY)
+    found = still_region(still, expected, usable, 1.5)
+    assert found[..., 29:, :38].float().mean() > 0.95
+    assert not found[..., :27, :].any()
+    assert "between rows 2" in region_message(found)[0]
 
 
 def test_a_plain_sky_without_noise_lives_though_a_ghost_is_expected_in_it():
