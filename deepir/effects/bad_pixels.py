@@ -230,5 +230,6 @@ class BadPixels(Effect):
             inside = (problem.saturation == 0).all(0, keepdim=True)
             calm, still = calm & inside, still & inside
         gone |= overlay_mask(calm, problem.data - rest, usable, noise)
-        gone |= still_region(still, problem.data - rest, usable, noise)
+        if estimate.step > 1:  # before, what is expected has the pattern, which moves
+            gone |= still_region(still, problem.data - rest, usable, noise)
         problem.precision.mul_(~gone)
