@@ -35,14 +35,8 @@ CorrectedOutput = Annotated[
 ]
 Float32 = Annotated[bool, typer.Option("--float32", help="Do not round to the recording's type.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
-DATA_SETTINGS = (
-    "data.key",
-    "data.raw",
-    "data.axes",
-    "data.swap_bytes",
-    "data.radiometry",
-    "data.crop",
-)  # of how a file is read
+#: Of how a file is read.
+DATA_SETTINGS = ("data.key", "data.raw", "data.axes", "data.swap_bytes", "data.radiometry", "data.crop")
 RECORDING_SETTINGS = (
     *DATA_SETTINGS,
     "data.frames",

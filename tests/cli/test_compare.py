@@ -179,7 +179,7 @@ class TestHere:
         a, b, c = table(folder / "runs/nuc-batch")
         assert a["psnr_aligned"]
         assert (b["psnr_aligned"], b["error"]) == ("", "")
-        assert "not a format that deepir reads" in c["error"]
+        assert "does not begin as a .npz file does" in c["error"]
         assert (folder / "runs/nuc-batch/a/scene.tiff").exists()
 
 

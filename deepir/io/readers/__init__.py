@@ -112,6 +112,10 @@ def find_reader(path: Path) -> Reader | None:
 def known_reader(path: Path) -> Reader:
     """The same; `DataError` if there is none."""
     if (reader := find_reader(path)) is None:
+        if path.suffix.lower() in suffixes():
+            raise DataError(
+                f"{path}: it does not begin as a {path.suffix} file does: damaged, or of another format"
+            )
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
             "Save it as .npz with an array `frames` (frames, height, width); a file of bare samples needs "
