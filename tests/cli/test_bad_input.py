@@ -66,7 +66,7 @@ DATA = {
     "a truncated npz": (damaged("bad.npz"), ["bad.npz", "damaged or truncated"]),
     "a truncated tiff": (damaged("bad.tif"), ["bad.tif", "truncated"]),
     "a truncated png": (damaged("bad.png"), ["bad.png", "damaged or truncated"]),
-    "no picture at all": (text, ["not a format that deepir reads", ".tiff"]),
+    "no picture at all": (text, ["does not begin as a .npz file does", "damaged"]),
     "pickled arrays": (stored(lambda f: np.array([{}, 1], object)), ["pickled", "never loaded"]),
     "two arrays": (two_arrays, ["which array", "data.key", "a (3, 40, 48)"]),
     "colour": (stored(lambda f: np.stack([f] * 3, -1)), ["shape (3, 40, 48, 3)", "(frames, height, width)"]),
