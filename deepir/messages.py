@@ -74,10 +74,6 @@ WARNINGS = {
         "Pixels hold one value in all frames: text or marks that the camera draws, or clipped pixels.",
         "Switch the overlay off, or leave it out with `data.mask` or `data.crop`.",
     ),
-    "still-region": (
-        "A part of the picture does not follow the scene: a bonnet, a mount, a barrel, or pixels that do not respond.",
-        "Nothing, if it is what you expect. A mask (`data.mask`) or a crop (`data.crop`) is surer.",
-    ),
     "torn-frames": (
         "A frame is composed of two exposures, above and below a row. It fits neither of them.",
         "Leave these frames out with `data.frames`; check the cable or the frame grabber.",
@@ -105,6 +101,10 @@ WARNINGS = {
     "shading-changes": (
         "Something smooth changes from frame to frame: clouds, stray flux, the temperature of the housing.",
         "Take the frames faster. Trust slow parts of the scene less than their deviation says.",
+    ),
+    "still-region": (
+        "A part of the picture does not follow the scene: a bonnet, a mount, a barrel, or pixels that do not respond.",
+        "Nothing, if it is what you expect. A mask (`data.mask`) or a crop (`data.crop`) is surer.",
     ),
     "pattern-cost": (
         "The unknown pattern costs precision: the scene has this much more noise than with a known sensor.",

@@ -52,7 +52,7 @@ MIN_PATTERN_CONTRAST = 0.2
 @torch.no_grad()
 def misfit_message(problem: Problem, said: Sequence[str] = ()) -> list[str]:
     """Warning that names the cause that explains most of the residuals; [] where none does, or messages `said` so."""
-    if not isinstance(problem.operator.named()[-1][1], Sensor):
+    if not isinstance(problem.operator.named()[-1][1], Sensor) or not problem.motion_unknown():
         return []
     message, nats, frames = _misfit(problem)
     if nats < MIN_MISFIT or message.name in (getattr(each, "name", "") for each in said):

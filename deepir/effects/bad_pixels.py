@@ -230,6 +230,8 @@ class BadPixels(Effect):
             inside = (problem.saturation == 0).all(0, keepdim=True)
             calm, still = calm & inside, still & inside
         gone |= overlay_mask(calm, problem.data - rest, usable, noise)
-        if estimate.step > 1:  # before, what is expected has the pattern, which moves
+        if (
+            problem.motion_unknown() and estimate.step > 1
+        ):  # before, what is expected has the pattern, which moves
             gone |= still_region(still, problem.data - rest, usable, noise)
         problem.precision.mul_(~gone)
