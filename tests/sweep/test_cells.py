@@ -91,7 +91,7 @@ def test_a_burst_that_cannot_be_read_is_left_to_its_run_once_another_is_finished
     found = make_cells("nuc", ["method=average"], [burst_axis([f"{tmp_path}/*.npz"])], tmp_path, 1)
     check_cells(found)
     bad, good = found
-    with pytest.raises(DataError, match="not a format"):
+    with pytest.raises(DataError, match="does not begin"):
         check_cells([bad])
     run_into(good.config, good.folder.path)
     check_cells([bad], finished=[good])
