@@ -37,12 +37,8 @@ Float32 = Annotated[bool, typer.Option("--float32", help="Do not round to the re
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 #: Of how a file is read.
 DATA_SETTINGS = ("data.key", "data.raw", "data.axes", "data.swap_bytes", "data.radiometry", "data.crop")
-RECORDING_SETTINGS = (
-    *DATA_SETTINGS,
-    "data.frames",
-    "output.palette",
-    "output.tones",
-)  # of how it is read and displayed
+#: Of how it is read and displayed.
+RECORDING_SETTINGS = (*DATA_SETTINGS, "data.frames", "output.palette", "output.tones")
 
 
 def load_plugins(modules: Sequence[str] | None) -> list[str]:

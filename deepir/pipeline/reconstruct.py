@@ -101,7 +101,9 @@ def solve_burst(
     cost = pattern_cost_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
-    unseen = unseen_scene(problem, geometry, dataclasses.replace(kept, bad_pixels=known.bad_pixels))
+    unseen = unseen_scene(
+        problem, geometry, kept if motion is None else dataclasses.replace(kept, bad_pixels=known.bad_pixels)
+    )
     if not recipe.judged:
         return mark_unseen(result, unseen)
     doubt = picture
