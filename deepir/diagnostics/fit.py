@@ -105,8 +105,6 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
                     "and the motion that was found explains them little better than rest",
                 )
             ]
-    if len(problem.data) < 3 or _misfit(problem)[1] < MIN_MISFIT:
-        return []
     values = problem.values()
     left = problem.data - problem.predict(values)
     name = problem.operator.named()[-1][0]
@@ -114,7 +112,8 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
     pattern = gain * problem.flux(values).median() + offset
     counts = problem.precision > 0
     shown = pattern.expand_as(left[:1])[counts.any(0, keepdim=True)]
-    if left[counts].std() < shown.std() or motion_nats(problem) > MIN_MOTION_NATS:
+    fits = len(left) < 3 or left[counts].std() < shown.std()  # the cheapest first
+    if fits or _misfit(problem)[1] < MIN_MISFIT or motion_nats(problem) > MIN_MOTION_NATS:
         return []
     return [
         Message(

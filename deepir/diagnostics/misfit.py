@@ -3,8 +3,7 @@
 To first order a cause adds known images to the samples: a displacement adds the scene's gradient, a blur its second
 derivatives, a lag the difference to the frame before. The residuals of a solve are regressed on these images, frame by
 frame and, where a cause differs over the frame, cell by cell. Half the drop of the sum of squares, less the price of
-the coefficients by the Bayesian information criterion, is the logarithm of a likelihood ratio (Rao 1948, Schwarz
-1978).
+the coefficients by the Bayesian information criterion, is the log-likelihood ratio (Rao 1948, Schwarz 1978).
 """
 
 from __future__ import annotations

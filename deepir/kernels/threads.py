@@ -41,7 +41,8 @@ def is_compiled(value: Tensor) -> bool:
 def available() -> int:
     """Number of threads of an estimate that is given none."""
     torch = sys.modules.get("torch")  # without it, what needs it has not run
-    return min(torch.get_num_threads() if torch else os.cpu_count() or 1, MAX_THREADS)
+    cores = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))  # Linux alone has it
+    return min(torch.get_num_threads() if torch else len(cores(0)), MAX_THREADS)
 
 
 def count() -> int:

@@ -85,8 +85,7 @@ def test_a_bonnet_that_shows_noise_before_a_scene_that_moves_is_given_up():
     expected, usable = moving(), torch.ones(6, 1, 40, 50) > 0
     frames = expected + torch.randn(6, 1, 40, 50)
     frames[..., 28:, :] = frames[:1, :, 28:] + torch.randn(6, 1, 12, 50)
-    still = static_pixels(frames, usable, 1.5, STATIC_PROBABILITY)
-    found = still_region(still, expected, usable, 1.5)
+    found = still_region(static_pixels(frames, usable, 1.5, STATIC_PROBABILITY), expected, usable, 1.5)
     assert found[..., 29:, :38].float().mean() > 0.95
     assert not found[..., :27, :].any()
     assert "between rows 2" in region_message(found)[0]

@@ -97,17 +97,15 @@ def test_bytes_between_and_after_frames_are_skipped(tmp_path, frames):
     np.testing.assert_array_equal(read_frames(tmp_path / "a.raw", raw=layout).frames, frames)
     np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.raw", raw=layout)), frames)
     (tmp_path / "b.raw").write_bytes(frames[0].tobytes() + b"end")
-    np.testing.assert_array_equal(
-        read_frames(tmp_path / "b.raw", raw=Raw(width=64, height=48, trailer=3)).frames, frames[:1]
-    )
+    layout = Raw(width=64, height=48, trailer=3)
+    np.testing.assert_array_equal(read_frames(tmp_path / "b.raw", raw=layout).frames, frames[:1])
 
 
 @pytest.mark.parametrize(("width", "height"), [(48, 64), (128, 24), (96, 32), (64, 48)])
 def test_a_wrong_width_is_named_with_the_one_at_which_rows_continue(tmp_path, frames, caplog, width, height):
     (tmp_path / "a.raw").write_bytes(frames.tobytes())
     read_frames(tmp_path / "a.raw", raw=Raw(width=width, height=height))
-    said = "Try data.raw.width=64 data.raw.height=48" in caplog.text
-    assert said == (width != 64)
+    assert ("Try data.raw.width=64 data.raw.height=48" in caplog.text) == (width != 64)
 
 
 @pytest.mark.parametrize("count", [8, 20])

@@ -43,14 +43,13 @@ def test_of_two_films_in_one_file_the_grey_one_is_read(tmp_path, burst):
     import av
 
     height, width = burst.shape[1:]
+    colour = np.random.default_rng(0).integers(0, 255, (height, width, 3), np.uint8)
     with av.open(tmp_path / "a.mkv", "w") as container:
         tracks = [container.add_stream(codec, rate=9) for codec in ("mpeg4", "ffv1")]
         for track, pixels in zip(tracks, ("yuv420p", "gray16le"), strict=True):
             track.width, track.height, track.pix_fmt = width, height, pixels
-        for number, grey in enumerate(burst):
-            colour = np.random.default_rng(number).integers(0, 255, (height, width, 3), np.uint8)
-            shown = (colour, "rgb24"), (grey.astype(np.uint16), "gray16le")
-            for track, (values, kind) in zip(tracks, shown, strict=True):
+        for number, grey in enumerate(burst.astype(np.uint16)):
+            for track, values, kind in zip(tracks, (colour, grey), ("rgb24", "gray16le"), strict=True):
                 frame = av.VideoFrame.from_ndarray(values, format=kind)
                 frame.pts = number
                 container.mux(track.encode(frame))

@@ -1,6 +1,8 @@
 """Frames that are chosen of a recording while it is read once."""
 
 import numpy as np
+from scipy import ndimage
+from skimage import data
 
 from deepir.recording.keyframes import MAX_GROUPS, SHORT, choose_keyframes, coarse, motion_spacing, spread
 
@@ -59,3 +61,11 @@ def test_frames_of_numbers_are_no_keyframes(caplog):
     chosen = choose_keyframes(iter(frames))
     assert chosen.numbers.tolist() == list(range(4, 40))
     assert "frame(s) 0, 1, 2, 3 are no pictures" in caplog.text
+
+
+def test_grass_after_the_plain_sky_is_a_picture(caplog):
+    grass = 6 * np.tile(ndimage.gaussian_filter(data.grass()[:48].astype(float), 0.6), (1, 2))
+    walk = 8000 + np.random.default_rng(0).normal(0, 4, (460, 48, 64))
+    walk[400:] += [grass[:, 8 * k : 8 * k + 64] for k in range(60)]
+    assert choose_keyframes(iter(walk)).numbers[-1] > 440
+    assert "no pictures" not in caplog.text
