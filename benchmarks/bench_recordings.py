@@ -69,9 +69,7 @@ def main() -> None:
             print(f"{family}: not run: {reason}", file=sys.stderr)
             continue
         seeds = options.seeds if module is not recordings_real else SEEDS[:1]
-        wanted = [
-            (name, seed) for seed in seeds for name in module.names(family, seed) if options.cases in name
-        ]
+        wanted = [(name, seed) for seed in seeds for name in module.names(family, seed) if options.cases in name]
         found: dict[Cell, Arrays] = {}
         cells = [(family, name, seed, method) for method in options.methods for name, seed in wanted]
         for ours in DEPENDS_ON:
@@ -95,9 +93,7 @@ def main() -> None:
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES))
     parser.add_argument("--seeds", nargs="+", type=int, default=list(SEEDS))
@@ -136,9 +132,7 @@ def measure(family: str, name: str, seed: int, method: str) -> Arrays:
         words = {"status": "done", "kept": correction.kept}
     except DeepIRError as error:
         figures, words = {}, {"status": f"refused: {error}", "kept": ""}
-    except (
-        Exception
-    ) as error:  # one failure must not end hours of work: it is counted, and its words are kept
+    except Exception as error:  # one failure must not end hours of work: it is counted, and its words are kept
         figures, words = {}, {"status": f"failed: {type(error).__name__}: {error}", "kept": ""}
     arrays = {key: np.asarray(value) for key, value in (figures | words).items()}
     print(line(row_of((family, name, seed, method), arrays)), flush=True)

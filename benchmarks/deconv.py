@@ -40,8 +40,7 @@ LIFT = 0.05  # Richardson and Lucy's is for positive data
 #: What a rival makes of a picture about [0, 1] and a point-spread function, with one setting after the other.
 TRIED: dict[str, Callable[[np.ndarray, np.ndarray], Iterator[np.ndarray]]] = {
     "Richardson-Lucy": lambda y, psf: (
-        richardson_lucy(y + LIFT, psf, num_iter=n, clip=False) - LIFT
-        for n in (5, 10, 15, 20, 30, 40, 60, 80, 120, 200)
+        richardson_lucy(y + LIFT, psf, num_iter=n, clip=False) - LIFT for n in (5, 10, 15, 20, 30, 40, 60, 80, 120, 200)
     ),
     "Wiener": lambda y, psf: (wiener(y, psf, balance, clip=False) for balance in np.logspace(-5, 1, 25)),
     "unsupervised Wiener": lambda y, psf: iter([unsupervised_wiener(y, psf, clip=False, rng=0)[0]]),
@@ -90,9 +89,7 @@ def gaussian(pictures: tuple[str, ...], options: argparse.Namespace) -> Iterator
             given = f"{{type: gaussian, sigma: {sigma:g}, fixed: true}}"
             found = {prior: solved(sim, given, prior) for prior in PRIORS}
             blind = solved(sim, "gaussian", "tv")
-            best = {
-                kind: psnr(image, sim) for kind, image in tuned(sim, kernel("gaussian", sigma=sigma)).items()
-            }
+            best = {kind: psnr(image, sim) for kind, image in tuned(sim, kernel("gaussian", sigma=sigma)).items()}
             quality = [psnr(result.scene, sim) for result in found.values()]
             gains.append(quality[0] - max(best.values()))
             widths.append(spread(blind.extra["psf"]) / sigma)
@@ -130,9 +127,7 @@ def kinds(pictures: tuple[str, ...]) -> Iterator[str]:
             given = solved(sim, f"{{type: {kind}, {option}: {width:g}{more}, fixed: true}}", "tv")
             found, free = solved(sim, kind, "tv"), solved(sim, "simplex", "tv")
             true = given.extra["psf"]
-            alike = float(
-                (true * free.extra["psf"]).sum() / np.linalg.norm(true) / np.linalg.norm(free.extra["psf"])
-            )
+            alike = float((true * free.extra["psf"]).sum() / np.linalg.norm(true) / np.linalg.norm(free.extra["psf"]))
             off = spread(found.extra["psf"]) / spread(true) - 1
             yield (
                 f"| {name} | {kind} | {psnr(sim.frames[0], sim):.2f} | {psnr(given.scene, sim):.2f} | "

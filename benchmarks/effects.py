@@ -151,9 +151,7 @@ def simulated(what: str, strength: float, seed: int) -> tuple[Array, Judge]:
 
     def judge(result: Any) -> float:
         scene = frames[0] if result is None else result.scene
-        gain, level = np.polyfit(
-            scene.ravel().astype(float), truth.ravel(), 1
-        )  # stretched frames have their own
+        gain, level = np.polyfit(scene.ravel().astype(float), truth.ravel(), 1)  # stretched frames have their own
         return error_db(gain * scene + level, truth)
 
     return frames, judge

@@ -42,9 +42,7 @@ from deepir.simulate import Settings, Simulation, simulate
 PICTURES = ("coffee", "rocket", "procedural 40")
 PRIORS = ("foe", "tv", "tgv", "red")
 SEED, FRAMES, PARALLAX = 301, 6, (2.0, 5.0)
-CAMERA = Settings(
-    n_frames=FRAMES, shape=(128, 160), counts=True, max_shift=8.0, max_rotation=1.0, shading=0.0
-)
+CAMERA = Settings(n_frames=FRAMES, shape=(128, 160), counts=True, max_shift=8.0, max_rotation=1.0, shading=0.0)
 MARGIN = 8  # px at the frame's edge that the end-point error leaves out: some frames do not see them
 CROP, HELD_OUT = (slice(20, 400), slice(60, 580)), (3, 5, 7)
 NOISE = 6.0  # counts, of the A65's frames
@@ -115,9 +113,7 @@ def real(options: argparse.Namespace) -> Iterator[str]:
     for k in options.held_out or HELD_OUT:
         kept = np.delete(frames, k, axis=0)
         still, found = run("nuc", kept, options, HOMOGRAPHY), run("flow", kept, options)
-        errors = [
-            prediction_error(result, frames, motion, k, dense=result is found) for result in (still, found)
-        ]
+        errors = [prediction_error(result, frames, motion, k, dense=result is found) for result in (still, found)]
         scored = held_out(kept.shape[1:]).numpy() & np.isfinite(errors).all(0)  # the same for both
         flat, dense = (spread(each[scored]) for each in errors)
         if options.panels:
@@ -136,9 +132,7 @@ def spread(error: np.ndarray) -> SimpleNamespace:
     return SimpleNamespace(rms=float(error.std()), bulk=bulk)
 
 
-def prediction_error(
-    result: Any, frames: np.ndarray, motion: torch.Tensor, k: int, *, dense: bool
-) -> np.ndarray:
+def prediction_error(result: Any, frames: np.ndarray, motion: torch.Tensor, k: int, *, dense: bool) -> np.ndarray:
     """Prediction of frame `k` less the frame, (h, w); NaN where there is none.
 
     Of the samples in `held_out` the motion has seen nothing. Scene and sensor stay; the motion starts where the frame
@@ -150,9 +144,7 @@ def prediction_error(
     field: Any = (Flow if dense else Homography)((2, 3, 3), size=size)
     field.init_from(motion[[0, k]])
     maps = {"scene": scene, "gain": result.gain, "offset": result.offset}
-    fields = {"motion": field, "level": Pixels((2, 1, 1, 1))} | {
-        name: known(each) for name, each in maps.items()
-    }
+    fields = {"motion": field, "level": Pixels((2, 1, 1, 1))} | {name: known(each) for name, each in maps.items()}
     data = torch.from_numpy(frames[[0, k]])[:, None]
     operator = Chain({"warp": Warp(size, size, (0, 0)), "sensor": Sensor()})
     problem = Problem(operator, fields, data, torch.full_like(data, NOISE**-2))

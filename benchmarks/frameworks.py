@@ -47,9 +47,7 @@ class Case:
         deblurring = task == TASKS[0]
         self.task, self.margin = task, RADIUS if deblurring else 0
         self.scene = picture(name, SIDE + 2 * self.margin)
-        self.psf = pr.Gaussian(
-            (1, 1, 2 * RADIUS + 1, 2 * RADIUS + 1), size=(SIDE, SIDE), sigma=BLUR
-        )().detach()
+        self.psf = pr.Gaussian((1, 1, 2 * RADIUS + 1, 2 * RADIUS + 1), size=(SIDE, SIDE), sigma=BLUR)().detach()
         self.slots = {"psf": self.psf} if deblurring else {}
         self.operator = op.Blur(radius=RADIUS) if deblurring else op.Downsample(factor=FACTOR)
         x = torch.from_numpy(self.scene).float()[None, None]
@@ -195,9 +193,7 @@ def page() -> Iterator[str]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=None, help="the page to write")
     torch.set_num_threads(1)
     os.environ["OMP_NUM_THREADS"] = "1"

@@ -112,12 +112,10 @@ def error_db(scene: np.ndarray, truth: np.ndarray) -> float:
     truth = truth[0] if truth.ndim == 3 else truth
     scene = scene[0] if scene.ndim == 3 else scene
     margin = tuple(
-        slice((a - min(a, b)) // 2 + 2, (a + min(a, b)) // 2 - 2)
-        for a, b in zip(truth.shape, scene.shape, strict=True)
+        slice((a - min(a, b)) // 2 + 2, (a + min(a, b)) // 2 - 2) for a, b in zip(truth.shape, scene.shape, strict=True)
     )
     inner = tuple(
-        slice((b - min(a, b)) // 2 + 2, (b + min(a, b)) // 2 - 2)
-        for a, b in zip(truth.shape, scene.shape, strict=True)
+        slice((b - min(a, b)) // 2 + 2, (b + min(a, b)) // 2 - 2) for a, b in zip(truth.shape, scene.shape, strict=True)
     )
     rest = scene[inner].astype(np.float64) - truth[margin]
     return float(20 * np.log10(np.ptp(truth) / np.std(rest)))

@@ -190,9 +190,7 @@ def drive() -> Iterator[str]:
 def _draw(courses: dict[str, dict[str, Course]], path: Path) -> None:
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(
-        1, len(courses), figsize=(3.2 * len(courses), 3.2), sharey=True, layout="constrained"
-    )
+    figure, axes = plt.subplots(1, len(courses), figsize=(3.2 * len(courses), 3.2), sharey=True, layout="constrained")
     for axis, (kind, methods) in zip(axes, courses.items(), strict=True):
         for name, course in methods.items():
             width = 2.4 if name == "live" else 1.1

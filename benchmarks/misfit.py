@@ -92,15 +92,11 @@ def burst(fault: str, seed: int) -> Array:
     camera, strength = Camera(seed, rng), rng.uniform(*STRENGTHS)
     frames = np.stack([camera.view(k) for k in range(FRAMES)])
     frames = faulty(fault, camera, frames, strength, rng)
-    pattern = (
-        40 * rng.normal(size=SIZE) + 50 * rng.normal(size=(1, SIZE[1])) + 30 * rng.normal(size=(SIZE[0], 1))
-    )
+    pattern = 40 * rng.normal(size=SIZE) + 50 * rng.normal(size=(1, SIZE[1])) + 30 * rng.normal(size=(SIZE[0], 1))
     counts = (1 + 0.03 * rng.normal(size=SIZE)) * (frames - LEVEL) + LEVEL + pattern
     counts += NOISE * rng.normal(size=frames.shape)
     if fault == "a gain control":
-        counts = 5000 + (1 + 0.1 * rng.normal(size=(FRAMES, 1, 1))) * (
-            counts - counts.mean((1, 2), keepdims=True)
-        )
+        counts = 5000 + (1 + 0.1 * rng.normal(size=(FRAMES, 1, 1))) * (counts - counts.mean((1, 2), keepdims=True))
     return np.clip(np.rint(counts), 0, 16383).astype(np.uint16)
 
 
@@ -175,9 +171,7 @@ def page(found: Mapping[Cell, Arrays], seeds: int) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--output", type=Path)

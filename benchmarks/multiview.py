@@ -40,8 +40,7 @@ BURSTS = {
     "counts: gain and offset, dead pixels": {"counts": True, "dead_pixels": 0.002},
 }
 HEADER = (
-    "| burst | pattern | gain | one frame | multiview_tv | tv | red | tgv | s |\n"
-    "|---|---|---|---|---|---|---|---|---|"
+    "| burst | pattern | gain | one frame | multiview_tv | tv | red | tgv | s |\n|---|---|---|---|---|---|---|---|---|"
 )
 PRIORS = ("tv", "red", "tgv")
 CROP = np.s_[:, 20:400, 60:580]  # of the vehicle's frames, without its bonnet

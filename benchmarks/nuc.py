@@ -70,9 +70,7 @@ def report(regimes: dict[str, Regime], halves: str, options: argparse.Namespace)
         for name, regime in regimes.items():
             for n in regime.frames:
                 cases = {
-                    half: [
-                        case(regime, half, n, seed, options.fresh) for seed in SEEDS[half][: options.seeds]
-                    ]
+                    half: [case(regime, half, n, seed, options.fresh) for seed in SEEDS[half][: options.seeds]]
                     for half in halves
                 }
                 rows.append(Row(name, n, regime.forbidden.get(n, ""), cases))

@@ -58,9 +58,7 @@ def measure(n: int, shape: tuple[int, int], runs: int = 3) -> list[float]:
         path = Path(folder) / "frames.npy"
         np.save(path, simulate(None, camera, seed=200).frames)
         command = [sys.executable, "-c", CODE, str(path)]
-        out = [
-            subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(runs)
-        ]
+        out = [subprocess.run(command, capture_output=True, text=True, check=True).stdout for _ in range(runs)]
     return sorted([float(word) for word in each.split()] for each in out)[runs // 2]
 
 

@@ -54,9 +54,7 @@ def best_scene(sim: Simulation, variance: np.ndarray) -> np.ndarray:
     known |= {"tau": truth.tau} if sim.settings.tau else {}
     for name, value in known.items():
         problem.fields[name].values.copy_(torch.from_numpy(value))
-    problem.precision.copy_(
-        (problem.precision > 0) / torch.from_numpy(variance[used].astype(np.float32))[:, None]
-    )
+    problem.precision.copy_((problem.precision > 0) / torch.from_numpy(variance[used].astype(np.float32))[:, None])
     start_scene(problem)
     penalty = problem.penalties["scene"]["tv"]
     noise = problem.operator.noise_gain * float(problem.precision.sum(0).median().rsqrt())

@@ -47,9 +47,7 @@ class Regime:
 
 
 FEW = {3: "three frames tell shading from the scene only in part"}
-DRIFT = dict.fromkeys(
-    (3, 5, 10), "a slope of scene and offset and levels that follow the shifts are the same frames"
-)
+DRIFT = dict.fromkeys((3, 5, 10), "a slope of scene and offset and levels that follow the shifts are the same frames")
 STILL = dict.fromkeys((3, 5, 10), "nothing moves along y: a row's pattern is the scene's as well")
 
 REGIMES: dict[str, Regime] = {
@@ -67,9 +65,7 @@ REGIMES: dict[str, Regime] = {
     "pixels 10 %": Regime(("procedural 21", "procedural 41"), UNIT | NO_OFFSET | {"gain_pixel": 0.1}),
     "rows 5 %": Regime(("procedural 22", "procedural 42"), UNIT | {"gain_row": 0.05, "offset_row": 0.05}),
     "rotation 6 deg": Regime(("coffee", "retina"), UNIT | {"gain_column": 0.05, "max_rotation": 6.0}),
-    "tau 200": Regime(
-        ("chelsea", "clock"), UNIT | {"gain_column": 0.05, "gain_pixel": 0.05, "photons": 200.0}
-    ),
+    "tau 200": Regime(("chelsea", "clock"), UNIT | {"gain_column": 0.05, "gain_pixel": 0.05, "photons": 200.0}),
     "counts": Regime(("stereo_motorcycle", "procedural 43"), {"counts": True, "read_noise": 0.004}),
     "counts, strong offset, rotation": Regime(
         ("procedural 23", "procedural 44"),
@@ -81,9 +77,7 @@ REGIMES: dict[str, Regime] = {
         COUNTS | {"offset_pixel": 60 / 1500, "offset_column": 60 / 1500, "offset_row": 40 / 1500},
         frames=(3, 5, 10, 20),
     ),
-    "shading": Regime(
-        ("rocket", "procedural 50"), UNIT | {"shading": 0.25, "gain_shading": 0.05}, forbidden=FEW
-    ),
+    "shading": Regime(("rocket", "procedural 50"), UNIT | {"shading": 0.25, "gain_shading": 0.05}, forbidden=FEW),
     "dead pixels 0.5 %": Regime(
         ("chelsea", "procedural 45"),
         UNIT | {"dead_pixels": 0.003, "stuck_pixels": 0.001, "noisy_pixels": 0.001},
@@ -93,9 +87,7 @@ REGIMES: dict[str, Regime] = {
     "a walker": Regime(
         ("procedural 20", "procedural 46"), UNIT | {"walker": 0.5, "walker_contrast": 0.3}, frames=(5, 10)
     ),
-    "a failed frame": Regime(
-        ("stereo_motorcycle", "procedural 47"), UNIT | {"failed_frame": 2}, frames=(5, 10)
-    ),
+    "a failed frame": Regime(("stereo_motorcycle", "procedural 47"), UNIT | {"failed_frame": 2}, frames=(5, 10)),
     "sky": Regime(("sky 20", "sky 40"), UNIT),
     "sky, counts": Regime(("sky 21", "sky 41"), COUNTS),
     "jitter along x": Regime(("procedural 23", "procedural 48"), UNIT | {"jitter": "x"}, forbidden=STILL),

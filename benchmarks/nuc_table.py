@@ -106,9 +106,7 @@ def summary(rows: list[Row], halves: str) -> Iterator[str]:
             lambda half: mean(closed(possible, half), "gap", half),
         )
         yield line("worst of these", halves, lambda half: worst(closed(possible, half), half, "gap"))
-        yield line(
-            "of the mean gap, left open by the motion, dB", halves, lambda half: mean(possible, "open", half)
-        )
+        yield line("of the mean gap, left open by the motion, dB", halves, lambda half: mean(possible, "open", half))
         yield line("of the mean gap, lost, dB", halves, lambda half: f"**{mean(possible, 'lost', half)}**")
         yield from by_frames("lost", possible, halves, "lost")
         yield line("worst row's loss, dB", halves, lambda half: worst(possible, half, "lost"))

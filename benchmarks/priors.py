@@ -61,9 +61,7 @@ def main() -> None:
     options = parser.parse_args()
     names = options.prior or [name for name in prior_names() if options.published or not published(name)]
     names = ["tv", *(name for name in names if name != "tv")]
-    nuc = [
-        ("nuc", regime, n, seed) for seed in SEEDS["A"][: options.seeds] for regime in CHOSEN for n in FRAMES
-    ]
+    nuc = [("nuc", regime, n, seed) for seed in SEEDS["A"][: options.seeds] for regime in CHOSEN for n in FRAMES]
     fine = [
         ("sr", picture, factor, seed)
         for seed in FINE_SEEDS[: options.seeds]

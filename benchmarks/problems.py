@@ -134,9 +134,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, help="write the table to this file too")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    write(
-        report(options.problem or list(CASES), fresh=options.fresh), "benchmarks/problems.py", options.output
-    )
+    write(report(options.problem or list(CASES), fresh=options.fresh), "benchmarks/problems.py", options.output)
 
 
 def report(problems: list[str], *, fresh: bool) -> Iterator[str]:

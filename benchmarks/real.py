@@ -44,9 +44,7 @@ def a65() -> None:
     result = deepir.run("nuc", frames=frames, **AFFINE)
     corrected = (frames - result.offset) / result.gain
     print(f"A65, {len(frames)} frames of {x1 - x0} x {y1 - y0}: {result.metrics['seconds']} s")
-    print(
-        f"  high-pass correlation, frames 0 and 9: {correlation(frames):.3f} raw, {correlation(corrected):.3f} after"
-    )
+    print(f"  high-pass correlation, frames 0 and 9: {correlation(frames):.3f} raw, {correlation(corrected):.3f} after")
     kept, motion = (
         np.delete(frames, HELD_OUT, axis=0),
         register(torch.from_numpy(frames), model="affine").motion,
@@ -101,10 +99,7 @@ def dji(number: int) -> None:
     sim = simulate(np.clip((raw - low) / (high - low), 0, 1), camera, seed=number)
     result = deepir.run("nuc", frames=sim.frames)
     average = deepir.run("nuc", frames=sim.frames, method="average").scene
-    psnr = [
-        scores(x, sim.truth.scene)["psnr_aligned"]
-        for x in (sim.frames[0].astype(float), average, result.scene)
-    ]
+    psnr = [scores(x, sim.truth.scene)["psnr_aligned"] for x in (sim.frames[0].astype(float), average, result.scene)]
     print(
         f"H30T scene {number}, 5 frames of 640 x 512 in counts: one frame {psnr[0]:.1f} dB, average {psnr[1]:.1f}, "
         f"deepir {psnr[2]:.1f}; {result.metrics['seconds']} s, {result.metrics['peak_memory_mb']} MB"

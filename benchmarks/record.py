@@ -34,9 +34,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--full", action="store_true", help="all cells; without it, those of `make bench`")
     parser.add_argument("--workers", type=int, default=2, help="processes, each of one thread")
-    parser.add_argument(
-        "--protocol", action="append", help="only this one: a, b, sr2 ... (the page is not written)"
-    )
+    parser.add_argument("--protocol", action="append", help="only this one: a, b, sr2 ... (the page is not written)")
     parser.add_argument("--page", action="store_true", help="run nothing: write the page of what is there")
     options = parser.parse_args()
     for each in PLUGINS:

@@ -52,9 +52,7 @@ def deepinv_dip(burst: Burst, config: Config, *, sigma: float = 0.0) -> Result:
     deepinv = loaded()
     y, low, span = unit(burst)
     decoder = deepinv.models.ConvDecoder(img_size=tuple(y.shape[1:]), in_size=(4, 4), channels=CHANNELS)
-    prior = deepinv.models.DeepImagePrior(
-        decoder, img_size=[CHANNELS, 4, 4], iterations=ITERATIONS, learning_rate=RATE
-    )
+    prior = deepinv.models.DeepImagePrior(decoder, img_size=[CHANNELS, 4, 4], iterations=ITERATIONS, learning_rate=RATE)
     return plain(burst, prior(y, blurred(deepinv, sigma))[0, 0].detach().numpy() * span + low)
 
 

@@ -127,11 +127,7 @@ def _title(each: Found, n: str) -> str:
 def _what(everything: Mapping[str, Found], *, full: bool) -> str:
     every = [row for each in everything.values() for row in each.rows]
     done = sum(bool(row.metrics) for row in every)
-    kind = (
-        "the full run (`make bench-full`)"
-        if full
-        else "a part of it (`make bench`); `make bench-full` runs all"
-    )
+    kind = "the full run (`make bench-full`)" if full else "a part of it (`make bench`); `make bench-full` runs all"
     return f"This is {kind}: {done} of {len(every)} runs are finished."
 
 
@@ -152,13 +148,9 @@ def _missing(each: Found) -> Iterator[str]:
 
 def _record(everything: Mapping[str, Found], cells: Mapping[str, Sequence[Cell]]) -> Iterator[str]:
     """Machines, versions, and each burst's seed and digest."""
-    records = [
-        (key, cell.values[BURST_AXIS], cell.folder.record()) for key, each in cells.items() for cell in each
-    ]
+    records = [(key, cell.values[BURST_AXIS], cell.folder.record()) for key, each in cells.items() for cell in each]
     for name in ("machine", "versions"):
-        for what, count in Counter(
-            _said(found) for *_, record in records if (found := getattr(record, name))
-        ).items():
+        for what, count in Counter(_said(found) for *_, record in records if (found := getattr(record, name))).items():
             yield f"- {name}: {what} ({count} runs)"
     yield ""
     yield "| burst | seed | SHA-256 of the frames |"

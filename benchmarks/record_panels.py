@@ -28,9 +28,7 @@ def write_methods(path: Path, cells: Sequence[Cell], burst: str, n: str) -> bool
 
 
 def _panels(cells: Sequence[Cell]) -> Iterator[Panel]:
-    done = [
-        (cell, row) for cell, row in zip(cells, make_rows(cells, {}), strict=True) if QUALITY in row.metrics
-    ]
+    done = [(cell, row) for cell, row in zip(cells, make_rows(cells, {}), strict=True) if QUALITY in row.metrics]
     shown = [each for each in done if each[1].values["method"] not in LEFT_OUT]
     truth = None
     for cell, row in sorted(shown, key=lambda each: each[1].metrics[QUALITY]):

@@ -49,8 +49,7 @@ def looks(
 ) -> dict[str, Burst]:
     """A burst of each picture, with its seed."""
     return {
-        f"{name.replace(' ', '')}-{seed}": Simulated(name, seed, camera, settings)
-        for name, seed in pictures.items()
+        f"{name.replace(' ', '')}-{seed}": Simulated(name, seed, camera, settings) for name, seed in pictures.items()
     }
 
 
@@ -61,9 +60,7 @@ STRONG = methods(DEFAULT, "hardie_droege2007", "irlms", "mire", "average", "one_
 WEAK = methods(
     "constant_statistics", "destripe_cnn", "galms", "guided_1d", "hardie2000", "multiview_tv", "multiview_tv_recursive",
 )  # fmt: skip
-CALIBRATED: Methods = {
-    "flat_field": ('method={type: flat_field, cold: "STEM_cold.npy", hot: "STEM_hot.npy"}',)
-}
+CALIBRATED: Methods = {"flat_field": ('method={type: flat_field, cold: "STEM_cold.npy", hot: "STEM_hot.npy"}',)}
 ORACLE = methods("oracle")
 TELLING = {**CALIBRATED, **ORACLE}
 ALL = {**STRONG, **WEAK, **TELLING}

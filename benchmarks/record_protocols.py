@@ -148,9 +148,7 @@ def narcissus() -> Protocol:
 def real() -> Protocol:
     """Real bursts, of which no truth is known."""
     bursts: dict[str, Burst] = {
-        "a65": Recorded(
-            "a65/a65_frames_000-009.npz", (f"data.crop={CROP}", "physics.warp.motion.type=affine")
-        ),
+        "a65": Recorded("a65/a65_frames_000-009.npz", (f"data.crop={CROP}", "physics.warp.motion.type=affine")),
         "lepton": Recorded("lepton/lepton_tlinear_82x120x160.npz", ("data.radiometry.scale=0.01",)),
         "seek": Recorded("seek/seek_face.mat", key="raw", shutter="cal"),
     }

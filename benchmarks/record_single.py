@@ -46,9 +46,7 @@ def sharper() -> Protocol:
 
 def quieter() -> Protocol:
     """Denoising of one frame."""
-    still = (
-        dict.fromkeys(("gain_pixel", "gain_column", "shading", "dead_pixels", "psf_sigma"), 0.0) | NO_OFFSET
-    )
+    still = dict.fromkeys(("gain_pixel", "gain_column", "shading", "dead_pixels", "psf_sigma"), 0.0) | NO_OFFSET
     camera = still | {"n_frames": 1, "shape": (96, 128), "read_noise": 0.05}
     bursts = looks({"coffee": 451, "rocket": 452, "coins": 453, "procedural 60": 454}, camera)
     known = (

@@ -46,9 +46,7 @@ class Found:
 
     def methods(self, n: str | None = None) -> list[str]:
         """That were asked for, with so many frames."""
-        return list(
-            dict.fromkeys(row.values["method"] for row in self.rows if n in (None, row.values[FRAMES]))
-        )
+        return list(dict.fromkeys(row.values["method"] for row in self.rows if n in (None, row.values[FRAMES])))
 
     def values(self, method: str, n: str, metric: str) -> list[float]:
         """A metric of the bursts that are finished."""
@@ -68,9 +66,7 @@ class Found:
     def best(self, n: str, *, rivals: bool) -> str | None:
         """The method of the best median: of the rivals that are told no more than the burst, or of deepir's priors."""
         ours = [each for each in self.methods(n) if each.startswith(DEFAULT)]
-        among = (
-            [each for each in self.methods(n) if each not in (*ours, *TOLD, "one_frame")] if rivals else ours
-        )
+        among = [each for each in self.methods(n) if each not in (*ours, *TOLD, "one_frame")] if rivals else ours
         known = {each: value for each in among if np.isfinite(value := self.median(each, n, QUALITY))}
         return max(known, key=known.__getitem__) if known else None
 
@@ -152,6 +148,4 @@ def margins(everything: Mapping[str, Found]) -> Iterator[str]:
             prior = found.best(n, rivals=False)
             ours = f"{prior} | {found.median(prior, n, QUALITY):.1f}" if prior else " | "
             gaps = f"{gap:.1f}" if np.isfinite(gap) else ""
-            yield (
-                f"| ({key}) | {n} | {own:.1f} | {rival} | {other:.1f} | **{own - other:+.1f}** | {ours} | {gaps} |"
-            )
+            yield (f"| ({key}) | {n} | {own:.1f} | {rival} | {other:.1f} | **{own - other:+.1f}** | {ours} | {gaps} |")

@@ -89,8 +89,6 @@ def _bilinear(row: Array, column: Array, cells: tuple[int, ...]) -> sparse.csr_m
     below, right = row - top, column - left
     number = top * cells[1] + left
     columns = np.stack([number, number + 1, number + cells[1], number + cells[1] + 1], 1)
-    weights = np.stack(
-        [(1 - below) * (1 - right), (1 - below) * right, below * (1 - right), below * right], 1
-    )
+    weights = np.stack([(1 - below) * (1 - right), (1 - below) * right, below * (1 - right), below * right], 1)
     rows = np.repeat(np.arange(len(row)), 4)
     return sparse.csr_matrix((weights.ravel(), (rows, columns.ravel())), (len(row), cells[0] * cells[1]))

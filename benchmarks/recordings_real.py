@@ -91,9 +91,7 @@ def lynred() -> tuple[Array, Array]:
 @functools.cache
 def lynred_pattern() -> Array:
     """Its true pattern; kept, as it takes a minute."""
-    return kept("recordings", ["lynred's pattern", ROUNDS], lambda: {"pattern": true_pattern(*lynred())})[
-        "pattern"
-    ]
+    return kept("recordings", ["lynred's pattern", ROUNDS], lambda: {"pattern": true_pattern(*lynred())})["pattern"]
 
 
 def true_pattern(raw: Array, calibrated: Array) -> Array:

@@ -75,9 +75,7 @@ def _recording(settings: RecordingSettings, seed: int) -> tuple[np.ndarray, Reco
         whole = {part: np.asarray(getattr(truth, part)) for part in ("gain", "bad_pixels", "noise")}
         return {"frames": recording.frames, **some, **whole}
 
-    stored: dict[str, Any] = kept(
-        "recordings", [repr(settings), seed, STRIDE, code("simulate/**/*.py")], make
-    )
+    stored: dict[str, Any] = kept("recordings", [repr(settings), seed, STRIDE, code("simulate/**/*.py")], make)
     frames = stored.pop("frames")
     stored["noise"] = float(stored["noise"])
     unused = dict.fromkeys(("offset", "moving", "position", "rotation"), np.empty(0))

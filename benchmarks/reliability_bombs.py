@@ -41,9 +41,7 @@ def _npz(rng: np.random.Generator) -> Made:
 
 
 def _png(rng: np.random.Generator) -> Made:
-    return _file(
-        "a.png", imagecodecs.png_encode(np.zeros((SIDE, SIDE), rng.choice([np.uint8, np.uint16])), level=9)
-    )
+    return _file("a.png", imagecodecs.png_encode(np.zeros((SIDE, SIDE), rng.choice([np.uint8, np.uint16])), level=9))
 
 
 def _tiff(rng: np.random.Generator) -> Made:
@@ -62,9 +60,7 @@ def _directories(rng: np.random.Generator) -> Made:
     )  # fmt: skip
     size, count = len(entries) + 4, int(rng.choice([1, 2, 2000]))
     last = int(rng.choice([0, 8, 8 + size * (count - 1)]))
-    chain = b"".join(
-        entries + struct.pack("<I", 8 + size * (k + 1) if k < count - 1 else last) for k in range(count)
-    )
+    chain = b"".join(entries + struct.pack("<I", 8 + size * (k + 1) if k < count - 1 else last) for k in range(count))
     return _file("a.tif", b"II*\0" + struct.pack("<I", 8) + chain)
 
 
@@ -82,9 +78,7 @@ def _hdf5(rng: np.random.Generator) -> Made:
             for k in range(3000):
                 file[f"g{k % 7}/{k}"] = np.zeros((2, 2))
         elif kind == 3:
-            file.create_dataset(
-                "frames", (int(rng.integers(1, 300)), 1000, 1000), "u1", chunks=(1, 1000, 1000)
-            )
+            file.create_dataset("frames", (int(rng.integers(1, 300)), 1000, 1000), "u1", chunks=(1, 1000, 1000))
         else:
             file.create_dataset("frames", data=np.zeros((1, SIDE, SIDE), "u1"), compression="gzip")
     return _file("a.h5", buffer.getvalue())
@@ -101,9 +95,7 @@ def _cptv(rng: np.random.Generator) -> Made:
     head = b"CPTV\2H\2\4X" + struct.pack("<I", SIDE) + b"\4Y" + struct.pack("<I", SIDE)
     size = SIDE * SIDE
     frame = b"F\2\1w\1\4f" + struct.pack("<I", size // 8 + 4) + bytes(size // 8 + 4)
-    return _file(
-        "a.cptv", gzip.compress(head + frame * int(rng.integers(1, 4)) + bytes(10**7) * int(rng.integers(2)))
-    )
+    return _file("a.cptv", gzip.compress(head + frame * int(rng.integers(1, 4)) + bytes(10**7) * int(rng.integers(2))))
 
 
 def _seq(rng: np.random.Generator) -> Made:
@@ -130,6 +122,5 @@ def _links(rng: np.random.Generator) -> Made:
 
 
 BOMBS: dict[str, Callable[[np.random.Generator], Made]] = {
-    each.__name__[1:]: each
-    for each in (_npz, _png, _tiff, _directories, _hdf5, _mat, _cptv, _seq, _yaml, _links)
+    each.__name__[1:]: each for each in (_npz, _png, _tiff, _directories, _hdf5, _mat, _cptv, _seq, _yaml, _links)
 }

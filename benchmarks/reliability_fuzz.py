@@ -53,9 +53,7 @@ def count_inputs(start: int, stop: int) -> dict[str, np.ndarray]:
                 worker.kill()
                 worker.join()
         if now.value < stop:
-            _count(
-                counts, make_input(now.value), SLOW if slow else CRASH, now.value, f"exit {worker.exitcode}"
-            )
+            _count(counts, make_input(now.value), SLOW if slow else CRASH, now.value, f"exit {worker.exitcode}")
             now.value += 1
     return {"counts": np.array(counts[:]).reshape(len(KINDS), len(OUTCOMES))}
 
@@ -136,6 +134,4 @@ def _count(counts: Any, made: Input, outcome: int, number: int, why: str) -> Non
     for name, content in made.files.items():
         folder.mkdir(parents=True, exist_ok=True)
         _write(folder, name, content)
-    (folder / "why.txt").write_text(
-        f"{OUTCOMES[outcome]}: {made.kind}, {made.damage}\n{made.options}\n{why}\n"
-    )
+    (folder / "why.txt").write_text(f"{OUTCOMES[outcome]}: {made.kind}, {made.damage}\n{made.options}\n{why}\n")

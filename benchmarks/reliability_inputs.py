@@ -111,9 +111,7 @@ def _stored_npz(path: Path, frames: Any) -> None:
 
 
 def _plain_pgm(path: Path, frames: Any) -> None:
-    path.write_bytes(
-        b"".join(b"P2\n# a\n10 8\n9000\n" + b" ".join(b"%d" % v for v in f.flat) + b"\n" for f in frames)
-    )
+    path.write_bytes(b"".join(b"P2\n# a\n10 8\n9000\n" + b" ".join(b"%d" % v for v in f.flat) + b"\n" for f in frames))
 
 
 def _y16(path: Path, frames: Any) -> None:
@@ -197,9 +195,7 @@ def _splice(rng: np.random.Generator, content: bytes) -> bytes:
 
 def _truncate(rng: np.random.Generator, content: bytes) -> bytes:
     start, stop = sorted((_place(rng, len(content)), _place(rng, len(content))))
-    return (content[:start], content[:start] + content[stop:], content[:stop] + content[start:])[
-        rng.integers(3)
-    ]
+    return (content[:start], content[:start] + content[stop:], content[:stop] + content[start:])[rng.integers(3)]
 
 
 def _fields(rng: np.random.Generator, content: bytes) -> bytes:

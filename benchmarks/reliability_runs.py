@@ -46,9 +46,7 @@ def count_runs(part: str, start: int, stop: int) -> dict[str, np.ndarray]:
         try:
             np.savez("burst.npz", frames=simulate(None, Settings(shape=(24, 32), n_frames=3), seed=1).frames)
             for seed in (0, 1):
-                _demand(
-                    _status(_fork(*RUN, f"seed={seed}", f"output.dir=alone{seed}")) == 0, "a run alone fails"
-                )
+                _demand(_status(_fork(*RUN, f"seed={seed}", f"output.dir=alone{seed}")) == 0, "a run alone fails")
             for number in range(start, stop):
                 try:
                     RUNS[part](np.random.default_rng(number), number)
@@ -78,12 +76,8 @@ def kill_at_event(rng: np.random.Generator, number: int) -> None:
     at = 1 + number % _events()
     shutil.copytree("alone1", "tried")
     _status(_fork(*RUN, "seed=0", "output.dir=tried", "--overwrite", events=at))
-    moved = Path(
-        "tried/.unfinished/metrics.json"
-    ).exists()  # the new result is whole, and takes its place next
-    _demand(
-        moved or any(map(_is_result_of, (0, 1))), f"event {at}: neither the former result nor the new one"
-    )
+    moved = Path("tried/.unfinished/metrics.json").exists()  # the new result is whole, and takes its place next
+    _demand(moved or any(map(_is_result_of, (0, 1))), f"event {at}: neither the former result nor the new one")
     _finish(0)
 
 
@@ -180,9 +174,7 @@ def _is_result_of(seed: int) -> bool:
     """Whether the result in `tried` is that of the run of this seed, to the bit."""
     with np.load(f"alone{seed}/result.npz") as wanted, np.load("tried/result.npz") as found:
         same = all(np.array_equal(wanted[name], found[name], equal_nan=True) for name in wanted)
-        return (
-            same and wanted.files == found.files and f"seed: {seed}" in Path("tried/config.yaml").read_text()
-        )
+        return same and wanted.files == found.files and f"seed: {seed}" in Path("tried/config.yaml").read_text()
 
 
 def _contents() -> dict[str, bytes]:
@@ -195,8 +187,7 @@ def _disk() -> Iterator[bool]:
     Path("tried").mkdir()
     command = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "tmpfs", "tried"]
     mounted = (
-        shutil.which("mount") is not None
-        and subprocess.run(command, capture_output=True, check=False).returncode == 0
+        shutil.which("mount") is not None and subprocess.run(command, capture_output=True, check=False).returncode == 0
     )
     try:
         yield mounted
@@ -215,9 +206,7 @@ def _fork(*arguments: str, start: float = 0.0, prepare: Callable[[], Any] | None
     return process
 
 
-def _child(
-    arguments: tuple[str, ...], events: int | None = None, checkpoints: int = 0, most: int | None = None
-) -> int:
+def _child(arguments: tuple[str, ...], events: int | None = None, checkpoints: int = 0, most: int | None = None) -> int:
     """Run a command; with `events=0` the exit status is their number, else it is killed at the one of this number."""
     seen = {"events": 0, "checkpoints": 0}
     folder = str(Path("tried").absolute())

@@ -40,9 +40,7 @@ def measure(size: tuple[int, int], folder: Path, repeats: int) -> tuple[float, f
         whole = seconds(*deepir, "run", "nuc", f"data.path={burst}", f"output.dir={run}", "--overwrite")
         solve = json.loads((run / "metrics.json").read_text(encoding="utf-8"))["seconds"]
         rows.append((seconds("-c", "import torch"), solve, whole))
-    torch, solve, whole = (
-        statistics.median(each) for each in zip(*rows[1:], strict=True)
-    )  # the first fills caches
+    torch, solve, whole = (statistics.median(each) for each in zip(*rows[1:], strict=True))  # the first fills caches
     return torch, solve, whole
 
 

@@ -40,9 +40,7 @@ SIDE, REPEATS = 128, 8
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--workers", type=int, default=1, help="processes of one thread each, for the quality"
-    )
+    parser.add_argument("--workers", type=int, default=1, help="processes of one thread each, for the quality")
     parser.add_argument("--threads", type=int, action="append", help="of torch, for the times; default 1")
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()
@@ -108,9 +106,7 @@ def times() -> dict[str, float]:
     ours("and `scene.bf16=true`", bf16=True)
     ours("and fused Adam", bf16=True, fused=True)
     ours("and `scene.up=nearest scene.pad=zeros`", bf16=True, up="nearest", pad="zeros")
-    adam = {
-        name: torch.optim.Adam(net.parameters(), 0.01, fused=fused) for name, (net, _, fused) in ways.items()
-    }
+    adam = {name: torch.optim.Adam(net.parameters(), 0.01, fused=fused) for name, (net, _, fused) in ways.items()}
     seconds: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(REPEATS + 1):
         for name, (_, draw, _) in ways.items():

@@ -236,9 +236,7 @@ def _truth(data: Data, given: Truth | None, simulated: dict[str, Array], stack: 
         known = read_truth(data.truth, size)
     elif given is not None:
         named = given if isinstance(given, Mapping) else {"scene": given}
-        known = fit_truth(
-            {name: _array(each, f"truth[{name}]") for name, each in named.items()}, size, "truth"
-        )
+        known = fit_truth({name: _array(each, f"truth[{name}]") for name, each in named.items()}, size, "truth")
     if data.frames is not None and len(scene := known.get("scene", stack)) > len(stack) and scene.ndim == 3:
         known["scene"] = select_frames(scene, data.frames, "data.truth")
     if data.frames is not None:
@@ -265,9 +263,7 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
 
     simulation = simulate_from_config(data.simulate or {}, seed)
     if data.fps not in (None, simulation.settings.fps):
-        raise ConfigError(
-            f"data.fps={data.fps:g}, but data.simulate.fps={simulation.settings.fps:g}: they must agree"
-        )
+        raise ConfigError(f"data.fps={data.fps:g}, but data.simulate.fps={simulation.settings.fps:g}: they must agree")
     source = f"the simulated burst (seed {simulation.seed})"
     if select_frames(np.arange(len(simulation.frames)), data.frames, source)[0] != 0:
         raise ConfigError(

@@ -75,9 +75,7 @@ class CorrectionMaps:
         if frames.shape[-2:] != self.gain.shape:
             sizes = [" x ".join(map(str, shape)) for shape in (frames.shape[-2:], self.gain.shape)]
             where = source and f"{source}: "
-            raise DataError(
-                f"{where}the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop"
-            )
+            raise DataError(f"{where}the frames are {sizes[0]} px, the maps {sizes[1]} px: another camera, or a crop")
 
     def roughness_ratio(self, frame: Array) -> float:
         """Median difference between neighbouring pixels of a frame (h, w), after correction over before."""
@@ -104,9 +102,7 @@ class CorrectionMaps:
         weights = (inside & ~self.bad_pixels[near_y, near_x]).astype(np.float32)
         isolated = ~weights.any(axis=1)
         if isolated.any():
-            nearest = ndimage.distance_transform_edt(
-                self.bad_pixels, return_distances=False, return_indices=True
-            )
+            nearest = ndimage.distance_transform_edt(self.bad_pixels, return_distances=False, return_indices=True)
             near_y[isolated], near_x[isolated] = (each[y, x][isolated, None] for each in nearest)
             weights[isolated] = 1
         return y * width + x, near_y * width + near_x, weights / weights.sum(axis=1, keepdims=True)
@@ -125,9 +121,7 @@ def read_maps(path: Path) -> CorrectionMaps:
             raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
         found = reader.read_all(file)
     if missing := [name for name in ("gain", "offset") if name not in found]:
-        raise DataError(
-            f"{file}: no {' and no '.join(missing)}; maps are made by `deepir calibrate` or a run"
-        )
+        raise DataError(f"{file}: no {' and no '.join(missing)}; maps are made by `deepir calibrate` or a run")
     gain, offset = (np.squeeze(found[name]).astype(np.float64) for name in ("gain", "offset"))
     bad = np.squeeze(found.get("bad_pixels", np.zeros(gain.shape))).astype(bool)
     if gain.ndim == 3 and gain.shape == offset.shape == bad.shape:
@@ -135,9 +129,7 @@ def read_maps(path: Path) -> CorrectionMaps:
             f"{file}: maps of {len(gain)} bands; save gain, offset and bad pixels of one band, gain[0], as an .npz"
         )
     if gain.ndim != 2 or not gain.shape == offset.shape == bad.shape:
-        raise DataError(
-            f"{file}: gain {gain.shape}, offset {offset.shape} and bad pixels {bad.shape} differ in size"
-        )
+        raise DataError(f"{file}: gain {gain.shape}, offset {offset.shape} and bad pixels {bad.shape} differ in size")
     if "stray" in found:  # flux in front of the detector, which each pixel of it sees by its gain
         offset = offset + gain * np.squeeze(found["stray"])
     bad |= ~np.isfinite(gain) | ~np.isfinite(offset) | (gain <= 0)
@@ -198,9 +190,7 @@ def maps_from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Corr
         deviations = levels - levels.mean()
         variance = (deviations**2).sum()
         if variance <= (1e-3 * np.abs(levels).max()) ** 2:
-            raise DataError(
-                f"the flat frames are at {levels[0]:g} and {levels[-1]:g}: two temperatures are needed"
-            )
+            raise DataError(f"the flat frames are at {levels[0]:g} and {levels[-1]:g}: two temperatures are needed")
         gain = np.tensordot(deviations, stack - stack.mean(axis=0), 1) / variance
     offset = stack.mean(axis=0) - gain * levels.mean()
     bad = ~known | (np.abs(gain - 1) > MAX_GAIN_DEVIATION)

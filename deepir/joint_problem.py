@@ -57,9 +57,7 @@ class JointProblem(nn.Module):
     @property
     def fields(self) -> dict[str, Field]:
         """The field of each unknown."""
-        return {
-            name: each.fields[own] for each in self.data_sets for own, name in self.names_in(each).items()
-        }
+        return {name: each.fields[own] for each in self.data_sets for own, name in self.names_in(each).items()}
 
     @property
     def penalties(self) -> dict[str, Mapping[str, Penalty]]:
@@ -152,9 +150,7 @@ class JointProblem(nn.Module):
             fluxes.append(each.flux(mine))
             samples.append(each.samples(mine, self._own(each, eliminated), fluxes[-1], weights[each]))
         first = together[0]
-        found = first.eliminate_from(
-            samples, solved := self._own_values(first, values), self._own(first, eliminated)
-        )
+        found = first.eliminate_from(samples, solved := self._own_values(first, values), self._own(first, eliminated))
         values.update({self.names_in(first)[own]: value for own, value in solved.items()})
         nats, variances, system = found.log_det_gradient()
         counted = itertools.chain([nats], itertools.repeat(torch.zeros_like(nats)))  # once, for all of them

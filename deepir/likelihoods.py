@@ -85,9 +85,7 @@ class Poisson(Fidelity):
         """Photons are not negative; a few samples about zero may be, by the noise of the read-out."""
         fraction = float(((data < 0) & usable).sum() / usable.sum())
         if fraction > MAX_NEGATIVE_FRACTION:
-            raise ValueError(
-                f"poisson counts photons, but {fraction:.0%} of the data are negative; take gaussian"
-            )
+            raise ValueError(f"poisson counts photons, but {fraction:.0%} of the data are negative; take gaussian")
 
     def forward(self, prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
         """Half the deviance; negative data count as zero."""

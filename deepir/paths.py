@@ -24,6 +24,4 @@ def printable(text: str) -> str:
     """
     if text.isprintable():  # the map of a page has a million characters
         return text
-    return "".join(
-        each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text
-    )
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode("ascii") for each in text)

@@ -218,9 +218,7 @@ class Problem(nn.Module):
         """The precision, zero at held-out samples."""
         return torch.where(self.held_out, 0, self.precision)
 
-    def losses(
-        self, values: Values, eliminated: Collection[str] = (), *, precision: Tensor | None = None
-    ) -> Values:
+    def losses(self, values: Values, eliminated: Collection[str] = (), *, precision: Tensor | None = None) -> Values:
         """The objective's terms in nats, by name: `data`, `unknown.penalty`, and `unknown` for a field's own.
 
         Unknowns in `eliminated` are first set to their optimum in closed form, given the others; `values`, which
@@ -384,9 +382,7 @@ class Problem(nn.Module):
         return flux.detach(), data, precision, levels.flatten()
 
     @torch.no_grad()
-    def eliminate_from(
-        self, samples: Sequence[Samples], values: Values, group: Collection[str]
-    ) -> Elimination:
+    def eliminate_from(self, samples: Sequence[Samples], values: Values, group: Collection[str]) -> Elimination:
         """Set the unknowns of `group` to their optimum given the `samples` of one or several data sets."""
         gain, offset = list(self.sensor_unknowns().values())[:2]
         flux, data, precision, level = (

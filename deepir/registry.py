@@ -127,9 +127,7 @@ def _load_plugins() -> None:
         try:
             entry.load()
         except Exception as error:  # a broken plugin must name itself, whatever it raises
-            raise ConfigError(
-                f"plugin {entry.name!r} ({entry.value}) does not load: {_reason(error)}"
-            ) from error
+            raise ConfigError(f"plugin {entry.name!r} ({entry.value}) does not load: {_reason(error)}") from error
 
 
 def _origin(component: Any) -> str:

@@ -119,9 +119,7 @@ class Result:
         """All arrays by name as tensors, on the device of `like`; real ones in its dtype, if that is real."""
         found = {name: torch.as_tensor(array, device=like.device) for name, array in self.arrays().items()}
         both = like.is_floating_point()
-        return {
-            n: each.to(like.dtype) if both and each.is_floating_point() else each for n, each in found.items()
-        }
+        return {n: each.to(like.dtype) if both and each.is_floating_point() else each for n, each in found.items()}
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write the files of a finished run that `config.output` asks for, each atomically.

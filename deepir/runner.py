@@ -115,9 +115,7 @@ def check_components(config: Config, data: bursts.Burst) -> None:
         )
     for name in recipe.operators:
         if not any(isinstance(stage, lookup("operator", name)) for _, stage in problem.operator.named()):
-            raise ConfigError(
-                f"physics: problem '{config.problem}' needs a stage '{name}'; or take problem=generic"
-            )
+            raise ConfigError(f"physics: problem '{config.problem}' needs a stage '{name}'; or take problem=generic")
     plan(problem, recipe, config)
 
 
@@ -130,9 +128,7 @@ def _check_several(config: Config, data: bursts.Burst, recipe: Recipe) -> None:
     if (method := chosen(config)[0]) != "joint":
         raise ConfigError(f"datasets: method '{method}' takes one data set; take method=joint")
     if data.bands or any(each.bands for each in data.datasets.values()):
-        raise DataError(
-            "datasets: frames of several bands; give each band as a data set, frames[:, 0] and so on"
-        )
+        raise DataError("datasets: frames of several bands; give each band as a data set, frames[:, 0] and so on")
 
 
 def _at_rest(data: bursts.Burst) -> torch.Tensor:

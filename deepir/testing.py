@@ -64,9 +64,7 @@ def _check_shapes(name: str, operator: Operator, x: Tensor, slots: Slots, y: Ten
     )
     _require(wanted == given, f"{name}: slots() says {wanted}, given are {given}")
     size = operator.in_size((y.shape[-2], y.shape[-1]))
-    _require(
-        tuple(size) == x.shape[-2:], f"{name}: in_size says {tuple(size)}, the input is {tuple(x.shape)}"
-    )
+    _require(tuple(size) == x.shape[-2:], f"{name}: in_size says {tuple(size)}, the input is {tuple(x.shape)}")
     _require(operator.neutral.keys() <= wanted.keys(), f"{name}: neutral names a slot that slots() does not")
 
 

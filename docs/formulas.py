@@ -14,9 +14,7 @@ from matplotlib.textpath import TextPath
 from mkdocs.structure.pages import Page
 
 #: Code, which is left alone, and formulas: `$$...$$` on lines of their own, `$...$` within a line.
-PARTS = re.compile(
-    r"(?P<code>^```.*?^```$|`[^`\n]*`)|\$\$(?P<display>.+?)\$\$|\$(?P<inline>[^$\n]+?)\$", re.M | re.S
-)
+PARTS = re.compile(r"(?P<code>^```.*?^```$|`[^`\n]*`)|\$\$(?P<display>.+?)\$\$|\$(?P<inline>[^$\n]+?)\$", re.M | re.S)
 FONT = FontProperties(math_fontfamily="stix")
 SIZE = 100.0  # units of a drawing to the size of its font
 EM = 85.0  # units of a drawing to the size of the text, whose letters are taller than the formulas'

@@ -112,9 +112,7 @@ def components_page() -> str:
     """The page in Markdown: deepir's own components, without plugins."""
     parts = [COMPONENTS_HEADER]
     for kind, (title, text) in COMPONENT_KINDS.items():
-        found = {
-            name: each for name, each in components(kind).items() if each.__module__.startswith("deepir.")
-        }
+        found = {name: each for name, each in components(kind).items() if each.__module__.startswith("deepir.")}
         columns = ["name", "what", *(["slots"] if kind == "operator" else []), "options"]
         rows = [_row(name, each, kind) for name, each in found.items()]
         if not any(row[-1] for row in rows):

@@ -82,9 +82,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name in ("CITATION.cff", "LICENSE"):
         files.append(File.generated(config, name, abs_src_path=str(ROOT / name)))
     for title, names in REFERENCE.items():
-        files.append(
-            File.generated(config, f"reference/api/{_slug(title)}.md", content=_reference(title, names))
-        )
+        files.append(File.generated(config, f"reference/api/{_slug(title)}.md", content=_reference(title, names)))
     config.nav = _nav([file.src_uri.removesuffix(".md") for file in files.documentation_pages()])
     return files
 
@@ -113,9 +111,7 @@ def _nav(pages: list[str]) -> list[dict[str, object]]:
         chosen: list[str] = []
         for pattern in patterns:
             folder = pattern.rpartition("/")[0]
-            found = [
-                page for page in left if fnmatchcase(page, pattern) and page.rpartition("/")[0] == folder
-            ]
+            found = [page for page in left if fnmatchcase(page, pattern) and page.rpartition("/")[0] == folder]
             chosen += found
             left = [page for page in left if page not in found]
         nav.append({section: [f"{page}.md" for page in chosen]})

@@ -7,9 +7,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 OFF_THE_SITE = sorted([ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *(ROOT / "notes").glob("*.md")])
-BLOCK = re.compile(
-    r"^(?:`(?P<name>[\w./-]+)`\n\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
-)
+BLOCK = re.compile(r"^(?:`(?P<name>[\w./-]+)`\n\n)?```(?P<kind>\w+)\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
 def blocks(page, kind=None):

@@ -118,9 +118,7 @@ EVALUATED = (problem, operator, field, penalty, fidelity, denoiser)
 
 def names_of(kind):
     """Problems or components of a kind that are evaluated."""
-    return (
-        list(PROBLEMS) if kind == "problem" else [name for name in components(kind) if name not in LEFT_OUT]
-    )
+    return list(PROBLEMS) if kind == "problem" else [name for name in components(kind) if name not in LEFT_OUT]
 
 
 def main():

@@ -16,9 +16,7 @@ def camera(level, noise=None):
     scene = PEDESTAL + 150 * (picture - picture.mean()) / picture.std()
     shifts = rng.uniform(0, 14, (8, 2))
     y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
-    flux = np.stack(
-        [ndimage.map_coordinates(scene, [y + 30 + dy, x + 30 + dx], order=3) for dy, dx in shifts]
-    )
+    flux = np.stack([ndimage.map_coordinates(scene, [y + 30 + dy, x + 30 + dx], order=3) for dy, dx in shifts])
     gain = 1 + GAIN * rng.standard_normal(SIZE)
     rest = OFFSET * rng.standard_normal(SIZE)
     white = NOISE * rng.standard_normal(flux.shape)

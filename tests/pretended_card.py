@@ -97,9 +97,7 @@ def _demand_one_device(operation, given):
     if operation in INDEXED and isinstance(given[0], OnCard):
         wrong = []
     if wrong and operation not in BETWEEN_DEVICES:
-        raise RuntimeError(
-            f"{operation}: a tensor {tuple(wrong[0].shape)} of the CPU among those of the card"
-        )
+        raise RuntimeError(f"{operation}: a tensor {tuple(wrong[0].shape)} of the CPU among those of the card")
 
 
 def _tensors(values):

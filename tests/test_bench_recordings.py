@@ -136,13 +136,9 @@ def test_a_table_counts_what_is_refused_and_what_is_worse():
     text = "\n".join(summary(ROWS))
     assert "## Drive: 4 recordings, seeds 0" in text
     assert (
-        "| correct | 1 | 1, 0, 1 of 3 | 0.500 (1.50) |  | 0.500 (0.50) | 0.950 (0.80) | 0.900 | 1.000 (1.00) |"
-        in text
+        "| correct | 1 | 1, 0, 1 of 3 | 0.500 (1.50) |  | 0.500 (0.50) | 0.950 (0.80) | 0.900 | 1.000 (1.00) |" in text
     )
-    assert (
-        "Best low: `mean` (0.400); ahead of `correct`: `mean`. Best fine: `correct` (0.500). Best likeness"
-        in text
-    )
+    assert "Best low: `mean` (0.400); ahead of `correct`: `mean`. Best fine: `correct` (0.500). Best likeness" in text
 
 
 def test_a_line_says_how_it_ended():

@@ -38,15 +38,10 @@ def test_every_regime_fits_its_pictures():
             for n, seed in ((n, seed) for n in regime.frames for seed in seeds):
                 settings = regime.settings(n)
                 motion = random_motion(settings, np.random.default_rng(seed).spawn(1)[0])
-                assert (
-                    picture_scale(shapes[regime.picture(half)], visible_reach(motion, settings), settings)
-                    >= 1.2
-                )
+                assert picture_scale(shapes[regime.picture(half)], visible_reach(motion, settings), settings) >= 1.2
 
 
-@pytest.mark.parametrize(
-    "effect", [{"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05}]
-)
+@pytest.mark.parametrize("effect", [{"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05}])
 def test_known_effects_do_not_lower_the_oracle(effect, monkeypatch):
     from nuc_oracle import oracle
 

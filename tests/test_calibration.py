@@ -40,9 +40,7 @@ def mean_flats(see, *levels):
 
 def test_two_flats_give_gain_and_offset_and_many_agree_better(camera):
     gain, _, bad, see = camera
-    found = calibration.maps_from_flats(
-        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
-    )
+    found = calibration.maps_from_flats([calibration.mean_frame(see(level), "flat") for level in (7000, 9000)])
     np.testing.assert_array_equal(found.bad_pixels, bad)
     good = ~bad
     assert np.std((found.gain - gain)[good]) < 0.002
@@ -140,9 +138,7 @@ def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
 def test_what_is_at_an_end_of_the_range_in_all_flats_is_bad(end):
     """However widely the others' values spread: a zero is but six standard deviations off here."""
     rng = np.random.default_rng(3)
-    frames = (
-        8000 * (1 + 0.17 * rng.standard_normal((4, *SHAPE))[:1]) + rng.standard_normal((4, *SHAPE))
-    ).round()
+    frames = (8000 * (1 + 0.17 * rng.standard_normal((4, *SHAPE))[:1]) + rng.standard_normal((4, *SHAPE))).round()
     frames[:, 5::9, 3::11] = end
     found = calibration.maps_from_flats([calibration.mean_frame(frames, "flat")]).bad_pixels
     assert found[5::9, 3::11].all()
@@ -164,9 +160,7 @@ def test_maps_come_back_from_their_file_and_those_of_a_run_hold_its_stray_flux(t
 
 def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene):
     _, _, _, see = camera
-    found = calibration.maps_from_flats(
-        [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
-    )
+    found = calibration.maps_from_flats([calibration.mean_frame(see(level), "flat") for level in (7000, 9000)])
     frame = see(scene, 1)[0]
     assert found.roughness_ratio(frame) < 0.3
     assert found.roughness_ratio(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3

@@ -50,9 +50,7 @@ def test_the_truth_is_right_in_every_respect(exact, burst):
 @pytest.mark.parametrize(("name", "off"), [("gain", 0.01), ("offset", 3.0)])
 def test_an_error_in_one_column_counts_by_its_share_of_the_pixels(exact, burst, name, off):
     getattr(exact, name)[:, -1] += off
-    assert compare_to_truth(exact, burst)[f"{name}_rmse"] == pytest.approx(
-        off / burst.size[1] ** 0.5, rel=1e-3
-    )
+    assert compare_to_truth(exact, burst)[f"{name}_rmse"] == pytest.approx(off / burst.size[1] ** 0.5, rel=1e-3)
 
 
 def test_a_motion_is_judged_in_px_of_a_frame(exact, burst):

@@ -186,9 +186,7 @@ def test_the_canvas_is_the_union_of_the_footprints_plus_8_px_with_frame_0_at_an_
     assert CANVAS_MARGIN == 8
     assert room.min() >= CANVAS_MARGIN - 1e-9
     assert (room[:2] < CANVAS_MARGIN + 1).all()
-    for more, side in zip(
-        room[2:] - CANVAS_MARGIN, (width, height), strict=True
-    ):  # up to a size of a quick transform
+    for more, side in zip(room[2:] - CANVAS_MARGIN, (width, height), strict=True):  # up to a size of a quick transform
         assert more < 2 + 0.1 * side
 
 
@@ -258,9 +256,7 @@ def test_a_point_spread_function_sums_to_one(tmp_path):
 
 def test_losses_are_in_nats():
     r, step, value = 3.0, 4.0, 0.2
-    at_three = Gaussian()(
-        torch.full((1, 1, 1, 1), r), torch.zeros(1, 1, 1, 1), torch.full((1, 1, 1, 1), 1 / 2.0**2)
-    )
+    at_three = Gaussian()(torch.full((1, 1, 1, 1), r), torch.zeros(1, 1, 1, 1), torch.full((1, 1, 1, 1), 1 / 2.0**2))
     assert float(at_three) == pytest.approx(r**2 / (2 * 2.0**2))
     edge = torch.zeros(1, 1, 1, 2)
     edge[..., 1] = step

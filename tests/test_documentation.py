@@ -52,9 +52,7 @@ def test_files_that_are_named_are_there(page):
         assert (ROOT / path).exists(), path
 
 
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if page not in APART and blocks(page, "python")], ids=ids
-)
+@pytest.mark.parametrize("page", [page for page in PAGES if page not in APART and blocks(page, "python")], ids=ids)
 def test_python_blocks_run(page, burst, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     np.savez("burst.npz", frames=burst.frames)
@@ -74,9 +72,7 @@ def test_the_composed_form_finds_the_scene(burst, tmp_path, monkeypatch):
     assert scores(scene, truth)["psnr_aligned"] > scores(burst.frames[0], truth)["psnr_aligned"] + 10
 
 
-@pytest.mark.parametrize(
-    "page", [page for page in PAGES if page not in APART and blocks(page, "yaml")], ids=ids
-)
+@pytest.mark.parametrize("page", [page for page in PAGES if page not in APART and blocks(page, "yaml")], ids=ids)
 def test_yaml_blocks_make_problems(page):
     shipped = yaml.safe_load((SHIPPED_CONFIGS / "nuc.yaml").read_text())
     frames = np.random.default_rng(0).random((3, 24, 32)).astype(np.float32)
@@ -142,8 +138,7 @@ def test_what_a_slot_may_hold_is_documented():
 
 def test_every_setting_of_the_simulator_is_documented_with_its_default():
     table = {
-        key.strip("`"): literal(default)
-        for key, default, _ in rows(ROOT / "docs/reference/simulator.md", "## Bursts")
+        key.strip("`"): literal(default) for key, default, _ in rows(ROOT / "docs/reference/simulator.md", "## Bursts")
     }
     settings = {each.name: each.default for each in dataclass_fields(Settings)}
     assert table.keys() == settings.keys()

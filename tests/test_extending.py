@@ -35,13 +35,9 @@ def install(folder):
     project = tomllib.loads(files(PAGE)["pyproject.toml"])["project"]
     info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(
-        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
-    )
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
     groups = project["entry-points"].items()
-    lines = [
-        f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in entries.items()) for group, entries in groups
-    ]
+    lines = [f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in entries.items()) for group, entries in groups]
     (info / "entry_points.txt").write_text("".join(lines))
 
 
@@ -184,9 +180,7 @@ def test_frames_of_a_camera_at_rest_are_used_together(plugin, picture):
 
 def test_noise_that_is_given_sets_the_weight(plugin):
     weights = [
-        deepir.run("inpaint.yaml", *QUICK, f"noise.read={read}", solver={"max_iterations": 1}).metrics[
-            "strengths"
-        ]
+        deepir.run("inpaint.yaml", *QUICK, f"noise.read={read}", solver={"max_iterations": 1}).metrics["strengths"]
         for read in (2, 20)
     ]
     assert weights[0]["scene.tv.weight"] == pytest.approx(10 * weights[1]["scene.tv.weight"])

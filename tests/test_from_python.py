@@ -37,9 +37,7 @@ def result(burst):
 
 def test_the_truth_may_be_an_array(result, burst):
     assert result.metrics["psnr"] > 0
-    named = deepir.run(
-        "nuc", *QUICK, frames=burst.frames, truth={"scene": burst.truth.scene, "gain": burst.truth.gain}
-    )
+    named = deepir.run("nuc", *QUICK, frames=burst.frames, truth={"scene": burst.truth.scene, "gain": burst.truth.gain})
     assert named.metrics["psnr"] == result.metrics["psnr"]
     assert named.metrics["gain_rmse"] > 0
 

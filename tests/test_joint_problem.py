@@ -35,9 +35,7 @@ def data_set(n_frames, seed, **sensor):
     fields = {"scene": Pixels(tuple(frames.shape)), "level": level, **sensor}
     problem = Problem(Chain({"sensor": Sensor()}), fields, frames, weight).double()
     with torch.no_grad():
-        problem.fields["scene"].init_from(
-            7 + torch.randn(frames.shape, generator=generator, dtype=torch.float64)
-        )
+        problem.fields["scene"].init_from(7 + torch.randn(frames.shape, generator=generator, dtype=torch.float64))
     return problem
 
 

@@ -102,9 +102,7 @@ def test_no_circle_of_files_or_folders():
 
 def test_the_numeric_core_knows_no_configuration_and_no_report():
     edges = graph(folder)
-    assert {
-        core: sorted(edges[core] & set(ABOVE_THE_CORE)) for core in CORE if edges[core] & set(ABOVE_THE_CORE)
-    } == {}
+    assert {core: sorted(edges[core] & set(ABOVE_THE_CORE)) for core in CORE if edges[core] & set(ABOVE_THE_CORE)} == {}
 
 
 def test_a_circle_is_found():

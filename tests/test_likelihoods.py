@@ -69,9 +69,7 @@ def test_noise_of_the_given_variance_costs_about_what_it_should(name):
         assert cost == pytest.approx(expected[name], rel=0.15 if name == "huber" else 0.02)
 
 
-@pytest.mark.parametrize(
-    ("name", "density", "per_sigma"), [("gaussian", stats.norm, 1), ("l1", stats.laplace, 2**0.5)]
-)
+@pytest.mark.parametrize(("name", "density", "per_sigma"), [("gaussian", stats.norm, 1), ("l1", stats.laplace, 2**0.5)])
 def test_gaussian_and_laplacian_are_scipys(name, density, per_sigma):
     prediction, data, precision = samples()
     log = density(loc=prediction, scale=precision.rsqrt() / per_sigma).logpdf

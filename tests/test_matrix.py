@@ -25,9 +25,7 @@ CASES = [
 @functools.cache
 def frames(shared):
     """A burst of one scene, or a frame each of several, with one pattern."""
-    bursts = [
-        simulate(procedural(seed, (110, 130)), CAMERA, seed=1).frames for seed in range(1, 2 if shared else 5)
-    ]
+    bursts = [simulate(procedural(seed, (110, 130)), CAMERA, seed=1).frames for seed in range(1, 2 if shared else 5)]
     return bursts[0] if shared else np.stack([burst[0] for burst in bursts])
 
 

@@ -64,9 +64,7 @@ def test_an_explanation_says_what_it_means_and_what_to_do(name):
 
 
 def test_the_most_important_messages_come_first():
-    found = labelled(
-        [Message("line-noise", "c"), "b", Message("level-drift", "a"), Message("motion-small", "d")]
-    )
+    found = labelled([Message("line-noise", "c"), "b", Message("level-drift", "a"), Message("motion-small", "d")])
     assert found == [
         "warning[motion-small]: d",
         "warning[level-drift]: a",

@@ -68,12 +68,8 @@ def text_of_any_encoding(node):
         return any(each.arg in ("text", "universal_newlines") for each in node.keywords)
     if name != "open":
         return False
-    modes = (
-        node.args[:1] if isinstance(node.func, ast.Attribute) else node.args[1:2]
-    )  # path.open("w"), open(path, "w")
-    return not modes or (
-        isinstance(modes[0], ast.Constant) and bool(TEXT_MODE.fullmatch(str(modes[0].value)))
-    )
+    modes = node.args[:1] if isinstance(node.func, ast.Attribute) else node.args[1:2]  # path.open("w"), open(path, "w")
+    return not modes or (isinstance(modes[0], ast.Constant) and bool(TEXT_MODE.fullmatch(str(modes[0].value))))
 
 
 def test_all_modules_are_imported_without_those_of_posix():

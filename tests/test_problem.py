@@ -22,9 +22,7 @@ def sensor_problem(gain=None, offset=None, data=None, penalties=None, **more):
         "level": Constant((2, 1, 1, 1)),
     }
     data = torch.rand(2, 1, 6, 7) if data is None else data
-    return Problem(
-        Chain({"sensor": Sensor()}), fields, data, torch.ones_like(data), penalties=penalties, **more
-    )
+    return Problem(Chain({"sensor": Sensor()}), fields, data, torch.ones_like(data), penalties=penalties, **more)
 
 
 def test_the_terms_are_named_and_add_up(small_nuc):
@@ -127,9 +125,7 @@ def test_slots_without_a_field_are_neutral():
 
 def test_a_problem_is_solved_as_a_registered_one_is():
     data = torch.rand(1, 1, 16, 20)
-    problem = Problem(
-        Sensor(), {"scene": Pixels((1, 1, 16, 20))}, data, penalties={"scene": {"ridge": Ridge()}}
-    )
+    problem = Problem(Sensor(), {"scene": Pixels((1, 1, 16, 20))}, data, penalties={"scene": {"ridge": Ridge()}})
     solution = problem.solve()
     assert 0 < float(solution.values["scene"].std()) <= float(data.std())
     assert solution.held_out > 0

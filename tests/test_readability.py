@@ -49,24 +49,18 @@ def words(text):
 
 def prose(page):
     """Paragraphs and list items of a page, without code, tables, formulas, headings and sources."""
-    text = re.sub(
-        r"<!--.*?-->|^```.*?^```$|\$\$.*?\$\$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S
-    )
+    text = re.sub(r"<!--.*?-->|^```.*?^```$|\$\$.*?\$\$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
     text = re.sub(r"^## Sources$.*?(?=^## |\Z)", "", text, flags=re.M | re.S)
     text = re.sub(r"^(#|\|).*$", "", text, flags=re.M)
     text = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", text)
     text = re.sub(r"`[^`]*`|\$[^$]*\$", "Code", text)
     return [
-        " ".join(each.split())
-        for each in re.split(r"\n\s*\n|^\s*(?:[-*]|\d+\.) ", text, flags=re.M)
-        if each.strip()
+        " ".join(each.split()) for each in re.split(r"\n\s*\n|^\s*(?:[-*]|\d+\.) ", text, flags=re.M) if each.strip()
     ]
 
 
 def sentences(page):
-    return [
-        each for paragraph in prose(page) for each in re.split(r"(?<=[.!?])[*\")]* +(?=[^a-z])", paragraph)
-    ]
+    return [each for paragraph in prose(page) for each in re.split(r"(?<=[.!?])[*\")]* +(?=[^a-z])", paragraph)]
 
 
 @pytest.mark.parametrize("page", SITE, ids=names)
@@ -80,9 +74,7 @@ def test_sentences_are_short(page):
 
 @pytest.mark.parametrize("page", SITE, ids=names)
 def test_words_are_plain(page):
-    text = " ".join(
-        re.sub(r"^```.*?^```$|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S).split()
-    )
+    text = " ".join(re.sub(r"^```.*?^```$|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.M | re.S).split())
     assert not re.findall(rf"\b(?:{'|'.join(BANNED)})\b", text, re.IGNORECASE)
 
 

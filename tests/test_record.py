@@ -60,9 +60,7 @@ def test_a_burst_is_simulated_once_and_what_was_simulated_is_found_again(stem):
 
     path = stem.with_name(f"{stem.name}.npz")
     before = path.stat().st_mtime_ns
-    settings = Simulated(
-        "procedural 3", 7, CAMERA, ("method={type: flat_field, hot: STEM_hot.npy}",)
-    ).written(stem)
+    settings = Simulated("procedural 3", 7, CAMERA, ("method={type: flat_field, hot: STEM_hot.npy}",)).written(stem)
     assert path.stat().st_mtime_ns == before
     assert f"data.path={path}" in settings
     assert f"method={{type: flat_field, hot: {stem}_hot.npy}}" in settings

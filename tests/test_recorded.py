@@ -83,9 +83,7 @@ def test_a_picture_is_stretched_to_its_range(tmp_path):
 
 
 def test_a_drawn_scene_is_the_same_place_whatever_the_seed():
-    first, second = (
-        burst(f"seed={seed}", scene="procedural:3", motion="shift").truth["scene"] for seed in (1, 2)
-    )
+    first, second = (burst(f"seed={seed}", scene="procedural:3", motion="shift").truth["scene"] for seed in (1, 2))
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] > 0.8  # its size follows the motion
 
 

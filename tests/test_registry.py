@@ -47,9 +47,7 @@ def test_a_component_is_found_by_its_name(own_components):
 
 
 def test_a_misspelt_name_gives_the_place_and_the_nearest():
-    with pytest.raises(
-        ConfigError, match=r"scene\.penalties: no penalty is called 'tvv'; did you mean 'tv'\?"
-    ):
+    with pytest.raises(ConfigError, match=r"scene\.penalties: no penalty is called 'tvv'; did you mean 'tv'\?"):
         lookup("penalty", "tvv", "scene.penalties")
     with pytest.raises(ConfigError, match=r"no penalty is called 'zzz'; allowed: .*huber_tv, l1, red, ridge"):
         lookup("penalty", "zzz")

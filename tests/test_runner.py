@@ -28,9 +28,7 @@ def test_a_run_in_memory_writes_nothing(frames, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("value", "why"), [(7, "7 everywhere (a shutter, or lost)"), (np.nan, "100% NaN or infinite")]
-)
+@pytest.mark.parametrize(("value", "why"), [(7, "7 everywhere (a shutter, or lost)"), (np.nan, "100% NaN or infinite")])
 def test_a_frame_that_shows_nothing_is_left_out_and_reported(frames, value, why):
     damaged = np.insert(frames.astype(np.float32), 1, value, axis=0)
     result = deepir.run("nuc", frames=damaged, **QUICK)

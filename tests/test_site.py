@@ -64,9 +64,9 @@ def test_formulas_are_drawn_and_a_page_that_a_script_wrote_has_its_title(site):
 def test_the_site_loads_nothing_from_another_server(site):
     for page in site.rglob("*.html"):
         text = page.read_text()
-        assert not re.findall(
-            r'<(?:script|img|iframe|source|link)\b[^>]*(?:src|href)="(?:https?:)?//[^"]*"', text
-        ), page
+        assert not re.findall(r'<(?:script|img|iframe|source|link)\b[^>]*(?:src|href)="(?:https?:)?//[^"]*"', text), (
+            page
+        )
         assert 'class="mermaid"' not in text, page  # drawn by a script of another server
     for sheet in site.rglob("*.css"):
         assert not re.findall(r"(?:url\(|@import)\s*[\"']?(?:https?:)?//", sheet.read_text()), sheet
@@ -75,7 +75,5 @@ def test_the_site_loads_nothing_from_another_server(site):
 def test_the_search_is_part_of_the_site(site):
     index = json.loads((site / "search/search_index.json").read_text())
     assert any("dead pixels" in each["text"] for each in index["docs"])
-    settings = json.loads(
-        re.search(r'id="__config"[^>]*>(.*?)</script>', (site / "index.html").read_text())[1]
-    )
+    settings = json.loads(re.search(r'id="__config"[^>]*>(.*?)</script>', (site / "index.html").read_text())[1])
     assert (site / settings["search"]).is_file()

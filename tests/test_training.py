@@ -66,12 +66,8 @@ def test_no_rival_learns_from_what_rivals_are_judged_by(benchmarks):
 
     record = importlib.import_module("record_protocols")
     assert set(BENCHMARK_PHOTOGRAPHS) == set(PHOTOGRAPHS) & set(record.PICTURES)
-    everything, fewer = (
-        Pictures(np.random.default_rng(0), without) for without in ((), BENCHMARK_PHOTOGRAPHS)
-    )
-    assert (
-        len(everything.photographs) - len(fewer.photographs) == 2 * 3 * 3
-    )  # two of three colours in three sizes
+    everything, fewer = (Pictures(np.random.default_rng(0), without) for without in ((), BENCHMARK_PHOTOGRAPHS))
+    assert len(everything.photographs) - len(fewer.photographs) == 2 * 3 * 3  # two of three colours in three sizes
 
 
 def test_crops_are_in_the_range_of_the_pictures_or_its_negative():

@@ -59,9 +59,7 @@ class PatternStatistics:
         return np.asarray(self.correlation[farthest + y, farthest + x])
 
 
-def map_statistics(
-    pattern: Array, good: Array | None = None, repeat: Array | None = None
-) -> PatternStatistics:
+def map_statistics(pattern: Array, good: Array | None = None, repeat: Array | None = None) -> PatternStatistics:
     """Statistics of a pattern that was seen once.
 
     Args:
@@ -205,9 +203,7 @@ def assess_burst(statistics: PatternStatistics, motion: Array, factor: int = 1) 
     apart = displacements[:, :, None] - displacements[:, None]
     residual_share = math.sqrt(max(float(statistics.autocorrelation_at(apart).mean()), 0.0))
     assessment = BurstAssessment(displacements, residual_share)
-    assessment.flags.extend(
-        [*_motion_flags(statistics, displacements), *_frame_count_flags(assessment, len(motion))]
-    )
+    assessment.flags.extend([*_motion_flags(statistics, displacements), *_frame_count_flags(assessment, len(motion))])
     if (seen := phases_seen(displacements, factor)) < MIN_PHASES * factor**2:
         assessment.flags.append(
             f"the frames show {seen:.1f} of the {factor**2} sub-pixel phases of super-resolution by {factor}: what is "
@@ -286,9 +282,7 @@ def _pattern_lines(statistics: PatternStatistics) -> list[str]:
     found = {name: getattr(statistics, name) for name in ("shading", "columns", "rows")}
     found["pixels"] = 1 - sum(found.values())
     shares = (f"{name} {100 * each:.0f} %" for name, each in found.items() if each >= MIN_REPORTED_SHARE)
-    lines = [
-        f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {', '.join(shares)}"
-    ]
+    lines = [f"pattern: standard deviation {statistics.pattern.std():.3g}; of its variance {', '.join(shares)}"]
     if max(x, y) == math.inf:
         lines.append(
             "the pattern is correlated over all lags that were measured: no jitter separates it from the scene"
@@ -296,9 +290,7 @@ def _pattern_lines(statistics: PatternStatistics) -> list[str]:
     else:
         lines.append(f"move the camera between frames by more than {_px(x)} in x and {_px(y)} in y, in both")
     if statistics.shading > 0.5:
-        lines.append(
-            "most of it is shading, which jitter separates from the scene only in part: take a flat frame too"
-        )
+        lines.append("most of it is shading, which jitter separates from the scene only in part: take a flat frame too")
     return lines
 
 

@@ -35,11 +35,7 @@ def median(values: Tensor) -> float:
     Returns:
         The median; NaN for no values.
     """
-    if (
-        not is_compiled(values)
-        or values.dtype != torch.float32
-        or values.numel() < MIN_SIZE_OF_COMPILED_MEDIAN
-    ):
+    if not is_compiled(values) or values.dtype != torch.float32 or values.numel() < MIN_SIZE_OF_COMPILED_MEDIAN:
         return float(values.median())
     from deepir.kernels.compile import parallel_for
     from deepir.kernels.median_filter import median as median_of_bits

@@ -82,14 +82,10 @@ def make_field(
     return field
 
 
-def shared_field(
-    name: str, known: Mapping[str, Field], where: str, fits: Callable[[tuple[int, ...]], bool]
-) -> Field:
+def shared_field(name: str, known: Mapping[str, Field], where: str, fits: Callable[[tuple[int, ...]], bool]) -> Field:
     """The field of an unknown of another data set; `ConfigError` if there is none, or none that fits."""
     if name not in known:
-        raise ConfigError(
-            f"{where}.unknown: no unknown '{name}' in the data sets before; {nearest(name, known)}"
-        )
+        raise ConfigError(f"{where}.unknown: no unknown '{name}' in the data sets before; {nearest(name, known)}")
     if not fits(tuple(known[name].shape)):
         raise ConfigError(f"{where}.unknown: '{name}' is {known[name].shape}, which does not fit here")
     return known[name]
@@ -119,9 +115,7 @@ def make_penalties(settings: Mapping[str, Any], where: str, shape: tuple[int, ..
     """The penalties under `penalties`, by name; those that are null are left out."""
     found, wanted = {}, settings.get("penalties") or {}
     if not isinstance(wanted, Mapping):
-        raise ConfigError(
-            f"{where}.penalties = {wanted!r}: a mapping is needed, for example {where}.penalties.tv=50"
-        )
+        raise ConfigError(f"{where}.penalties = {wanted!r}: a mapping is needed, for example {where}.penalties.tv=50")
     for name, given in wanted.items():
         if given is None:  # what a preset has, left out
             continue
@@ -172,13 +166,9 @@ def _start(field: Field, init: Any, motion: Tensor | None, geometry: Geometry, w
         try:
             field.init_from(torch.from_numpy(value))
         except RuntimeError as error:
-            raise ConfigError(
-                f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted"
-            ) from error
+            raise ConfigError(f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted") from error
     elif init is not None:
-        raise ConfigError(
-            f"{where}.init = {init!r}: a number, 'register' (a motion), or an array's file is needed"
-        )
+        raise ConfigError(f"{where}.init = {init!r}: a number, 'register' (a motion), or an array's file is needed")
 
 
 #: The scene that finds the sensor for a prior that is fitted after it.
@@ -354,9 +344,7 @@ def make_operator(
             if key not in allowed:
                 component: Any = type(chain.stages[name])
                 options_of = options_schema(component).model_fields
-                raise ConfigError(
-                    f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}"
-                )
+                raise ConfigError(f"physics.{name}: no '{key}'; {nearest(key, [*allowed, *options_of, 'type'])}")
     return chain, slots, locate_first_frame(chain, size, out)
 
 

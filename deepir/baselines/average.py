@@ -93,9 +93,7 @@ def fill_invalid(frames: Array, valid: Array) -> Array:
         (N, h, w).
     """
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
-    return np.stack(
-        [fill_nearest(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs]
-    )
+    return np.stack([fill_nearest(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs])
 
 
 @register("method", "average")
@@ -121,9 +119,7 @@ def register_burst(burst: Burst, config: Config) -> Registration:
     return motion, used, messages
 
 
-def average_frames(
-    burst: Burst, config: Config, frames: Array, registration: Registration | None = None
-) -> Result:
+def average_frames(burst: Burst, config: Config, frames: Array, registration: Registration | None = None) -> Result:
     """Register a burst and average its corrected frames.
 
     Args:

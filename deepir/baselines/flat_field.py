@@ -54,9 +54,7 @@ def flat_field(
     bad, offset = maps.bad_pixels | burst.bad_pixels, maps.offset
     if "shutter" in flats:  # the latest
         offset = flats["shutter"] - maps.gain * flats["shutter"][~bad].mean()
-    return correct_and_average(
-        dataclasses.replace(burst, bad_pixels=bad), config, maps.gain, np.where(bad, 0, offset)
-    )
+    return correct_and_average(dataclasses.replace(burst, bad_pixels=bad), config, maps.gain, np.where(bad, 0, offset))
 
 
 def read_flat(path: str, option: str, size: tuple[int, int]) -> Array:

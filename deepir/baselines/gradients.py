@@ -49,9 +49,7 @@ def gradient_consensus(frames: Array) -> Array:
     """
     cut = int(TRIMMED_SHARE * len(frames))
     middle = slice(cut, len(frames) - cut)
-    return poisson(
-        [np.sort(np.diff(frames, axis=axis), 0)[middle].mean(0, dtype=np.float64) for axis in (-1, -2)]
-    )
+    return poisson([np.sort(np.diff(frames, axis=axis), 0)[middle].mean(0, dtype=np.float64) for axis in (-1, -2)])
 
 
 @rival("multiview_tv_recursive", estimate_offset)

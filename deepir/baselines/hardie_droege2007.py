@@ -29,9 +29,7 @@ MAX_CG_ITERATIONS = 60  # iterations of conjugate gradients in each Gauss-Newton
 CG_TOLERANCE = 1e-3  # norm of the preconditioned residual, relative to its start, at which they stop
 PRIOR_WIDTH_RATIO = 2.0  # prior deviation of D z over its root mean square, which edges and texture share
 #: D: a pixel less the mean of its four neighbours.
-HIGH_PASS_KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[
-    None, None
-]
+HIGH_PASS_KERNEL = torch.tensor([[0, -0.25, 0], [-0.25, 1, -0.25], [0, -0.25, 0]], dtype=torch.float64)[None, None]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -75,11 +73,7 @@ def hardie_droege2007(
     with torch.no_grad():
         values, chain = problem.values(), Chain(dict(optics))
         z = values["scene"]
-        slots = {
-            slot: values[name]
-            for slot, name in problem.slots.items()
-            if slot.partition(".")[0] in dict(optics)
-        }
+        slots = {slot: values[name] for slot, name in problem.slots.items() if slot.partition(".")[0] in dict(optics)}
         model = Model(
             forward=lambda z: chain(z, **slots),
             adjoint=lambda y: chain.adjoint(y, tuple(z.shape), **slots),

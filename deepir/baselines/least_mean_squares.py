@@ -113,9 +113,7 @@ def learn_correction(frames: Array, motion: Array, rate: float, passes: int = 1)
     return weight, bias
 
 
-def updated(
-    weight: Array, bias: Array, before: Array, now: Array, step: Array, rate: float
-) -> tuple[Array, Array]:
+def updated(weight: Array, bias: Array, before: Array, now: Array, step: Array, rate: float) -> tuple[Array, Array]:
     """Weight and bias after a frame `now`, which the frame `before`, pulled by `step`, predicts."""
     target = warp_bilinear(weight * before + bias, step)
     error = np.nan_to_num(target - (weight * now + bias))

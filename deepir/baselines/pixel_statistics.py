@@ -148,10 +148,7 @@ def trajectory_means(frames: Array, valid: Array, motion: Array) -> Array:
     margin = [(0, 0), *((rim, rim) for rim in np.ceil(outside + 1e-6).astype(int))]
     mean = registered_mean(np.pad(frames, margin), np.pad(valid, margin), motion).numpy()
     return np.stack(
-        [
-            ndimage.map_coordinates(mean, to_indices(each, mean.shape), order=3, mode="mirror")
-            for each in points
-        ]
+        [ndimage.map_coordinates(mean, to_indices(each, mean.shape), order=3, mode="mirror") for each in points]
     )
 
 

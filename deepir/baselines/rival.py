@@ -28,9 +28,7 @@ State = TypeVar("State")
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def rival(
-    name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result]
-) -> Callable[[Function], Function]:
+def rival(name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result]) -> Callable[[Function], Function]:
     """Decorator that registers a method and leaves the function as it is.
 
     Args:
@@ -63,9 +61,7 @@ def correct_frames(burst: Burst, config: Config, correct: Callable[[Array], Arra
     return average_frames(burst, config, np.stack([correct(frame) for frame in filled_frames(burst)]))
 
 
-def estimate_pattern(
-    burst: Burst, config: Config, estimate: Callable[[Array], tuple[Array, Array]]
-) -> Result:
+def estimate_pattern(burst: Burst, config: Config, estimate: Callable[[Array], tuple[Array, Array]]) -> Result:
     """Correct for the gain and offset (h, w) of frames (N, h, w), then register and average."""
     return correct_and_average(burst, config, *estimate(filled_frames(burst)))
 

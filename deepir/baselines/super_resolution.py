@@ -59,9 +59,7 @@ def shift_and_add(frames: Array, valid: Array, motion: Array, shape: tuple[int, 
     ratio = shape[0] / frames.shape[1]
     total, count = np.zeros((2, *shape))
     for frame, good, forth in zip(frames, valid, motion, strict=True):
-        row, column = (
-            np.rint(to_indices(sampling_points(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
-        )
+        row, column = np.rint(to_indices(sampling_points(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
         inside = good.ravel() & (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
         np.add.at(total, (row[inside], column[inside]), frame.ravel()[inside])
         np.add.at(count, (row[inside], column[inside]), 1)
@@ -88,9 +86,7 @@ def vdsr(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) -> 
     fine = np.stack([sharpen(enlarge(frame, ratio)) for frame in fill_invalid(frames, valid)])
     seen = np.stack([enlarge(each.astype(float), ratio) > 0.5 for each in valid])
     return (
-        registered_mean(fine, seen, rescale_motion(torch.from_numpy(motion), ratio).numpy())
-        .numpy()
-        .astype(np.float32)
+        registered_mean(fine, seen, rescale_motion(torch.from_numpy(motion), ratio).numpy()).numpy().astype(np.float32)
     )
 
 

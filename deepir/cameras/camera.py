@@ -69,9 +69,7 @@ class Captured:
     longest_freeze: float
 
 
-def capture(
-    camera: Camera, count: int, every: float, on_frame: Callable[[Sequence[Array]], None]
-) -> Captured:
+def capture(camera: Camera, count: int, every: float, on_frame: Callable[[Sequence[Array]], None]) -> Captured:
     """Take frames from a camera; pictures identical to the last one are skipped.
 
     Args:
@@ -111,8 +109,7 @@ def capture(
 def _silence(last: Array | None) -> DataError:
     if last is None:
         return DataError(
-            f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, "
-            "and try once more"
+            f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, and try once more"
         )
     return DataError(
         f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter is closed, "

@@ -39,9 +39,7 @@ class V4L2(Camera):
         if mode is not None:
             options["video_size"] = "x".join(map(str, mode))
         try:
-            self.container = self.av.open(
-                device, format="v4l2", options=options, timeout=(OPEN_TIMEOUT, None)
-            )
+            self.container = self.av.open(device, format="v4l2", options=options, timeout=(OPEN_TIMEOUT, None))
         except (OSError, self.av.FFmpegError) as error:
             raise DataError(f"{device}: {_reason(error)}{_others(device)}") from None
         self.track = self.container.streams.video[0]

@@ -159,14 +159,10 @@ def _usage(message: str, given: Sequence[str]) -> str:
 
 def _report_internal_error(error: Exception) -> int:
     if isinstance(error, MemoryError) or "not enough memory" in str(error) or "out of memory" in str(error):
-        return _print_error(
-            "not enough memory: use a part of the frame (data.crop) or fewer frames (data.frames)", 1
-        )
+        return _print_error("not enough memory: use a part of the frame (data.crop) or fewer frames (data.frames)", 1)
     if isinstance(error, OSError):
         return _print_error(f"{error.filename or 'files'}: {error.strerror or error}", 1)
     if not (notes := getattr(error, "__notes__", [])):  # raised where there is no log
         traceback.print_exception(error)
     what = f"{type(error).__name__}: {error}"
-    return _print_error(
-        f"internal error, please report it: {what}{''.join(f' ({note})' for note in notes)}", 1
-    )
+    return _print_error(f"internal error, please report it: {what}{''.join(f' ({note})' for note in notes)}", 1)

@@ -66,9 +66,7 @@ def correct_all(
     """
     recording_config(source, settings, RECORDING_SETTINGS)  # what is wrong for one is wrong for all
     first, count = parse_shard(shard)
-    tasks = recordings_of(source, any_file=any(each.startswith("data.raw") for each in settings))[
-        first - 1 :: count
-    ]
+    tasks = recordings_of(source, any_file=any(each.startswith("data.raw") for each in settings))[first - 1 :: count]
     done, states = 0, [CORRECTED]
     made_by = {"version": deepir.__version__, "settings": sorted(settings), "rounded": rounded}
     with Interruptible():
@@ -112,9 +110,7 @@ def recordings_of(source: str, *, any_file: bool = False) -> list[Task]:
         files = [path.parent / line for line in lines if line and not line.startswith("#")]
         tasks = [Task(each, str(each.relative_to(each.anchor or "."))) for each in sorted(files)]
     else:
-        raise DataError(
-            f"{source}: give a folder of recordings, or a file ({', '.join(LISTS)}) with one a line"
-        )
+        raise DataError(f"{source}: give a folder of recordings, or a file ({', '.join(LISTS)}) with one a line")
     if not tasks:
         raise DataError(f"{source}: no recordings in it")
     if twice := next((a.name for a, b in itertools.pairwise(tasks) if a.name == b.name), None):

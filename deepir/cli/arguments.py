@@ -23,13 +23,9 @@ ReadingSettings = Annotated[
 ]
 Plugins = Annotated[
     list[str] | None,
-    typer.Option(
-        "--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."
-    ),
+    typer.Option("--plugin", metavar="MODULE", help="Python module that registers components; may be repeated."),
 ]
-ConfigName = Annotated[
-    str, typer.Argument(metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.")
-]
+ConfigName = Annotated[str, typer.Argument(metavar="CONFIG", help="A shipped configuration (nuc) or a .yaml file.")]
 CorrectedOutput = Annotated[
     Path | None, typer.Option(help="A .tif, or an .mp4 to look at; FILE_corrected.tif unless given.")
 ]
@@ -108,9 +104,7 @@ def config_stem(name: str) -> str:
 
 
 @contextmanager
-def held_outputs(
-    *paths: Path, overwrite: bool, suffix: str = "", source: str | Path | None = None
-) -> Iterator[None]:
+def held_outputs(*paths: Path, overwrite: bool, suffix: str = "", source: str | Path | None = None) -> Iterator[None]:
     """A context in which no other process writes these files.
 
     Args:

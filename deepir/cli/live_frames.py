@@ -197,9 +197,7 @@ def open_page(
     display = config.output if config else Output()
     recorder = Recorder(folder, unit_metadata(radiometry))
     title, tones = Path(source).name, display.tones
-    session = Session(
-        corrector, recorder, title=title, radiometry=radiometry, palette=display.palette, tones=tones
-    )
+    session = Session(corrector, recorder, title=title, radiometry=radiometry, palette=display.palette, tones=tones)
     with serve(session, *address) as url:
         notify(f"the frames are shown at {url}")
         try:

@@ -219,9 +219,7 @@ class PixelEquations:
         self.maps, self.log_det = torch.stack(each) / system, system.log().sum() / 2
         self.column_sums, self.row_sums = self.maps.sum(1), self.maps.sum(2)
 
-    def solve(
-        self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
-    ) -> Tensor:
+    def solve(self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor) -> Tensor:
         """Columns and further terms, (2 w + terms,), with the rows eliminated, by conjugate gradients.
 
         In coordinates in which the system without the rows is the unit matrix. Of such coordinates (c, t), the columns'
@@ -304,9 +302,7 @@ class PixelEquationsCPU(PixelEquations):
         parallel_for(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.row_sums, down, nats)
         self.column_sums, self.log_det = down.sum(0), nats.sum()
 
-    def solve(
-        self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor
-    ) -> Tensor:
+    def solve(self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor) -> Tensor:
         """See `PixelEquations`."""
         from deepir.kernels.compile import parallel_for
         from deepir.kernels.normal_equations import solve
@@ -335,9 +331,7 @@ class PixelEquationsCPU(PixelEquations):
             self.maps.new_empty(2, *self.maps.shape[1:], dtype=self.dtype),
         )
         before = (columns.contiguous(), self.row_sums[3:], weights, *(each.contiguous() for each in smooth))
-        parallel_for(
-            back_substitute, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values
-        )
+        parallel_for(back_substitute, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
         return errors, values
 
 

@@ -130,14 +130,10 @@ def eliminate(
     finite = _solve(columns, rows, smooth, pixels)
     # Flux that is not a number spreads to a column: the trial went too far, and what was found before stays.
     white = [
-        maps_of[PIXEL].whitened.detach()[0, 0]
-        if finite and PIXEL in maps_of
-        else torch.empty_like(pixels.maps[0])
+        maps_of[PIXEL].whitened.detach()[0, 0] if finite and PIXEL in maps_of else torch.empty_like(pixels.maps[0])
         for maps_of in parts
     ]
-    errors, values = pixels.back_substitute(
-        columns.values, smooth.in_rows(), rows.weights, start, (white[0], white[1])
-    )
+    errors, values = pixels.back_substitute(columns.values, smooth.in_rows(), rows.weights, start, (white[0], white[1]))
     rows.white = multiply_symmetric(rows.inverse, rows.sigma * errors)
     solved: dict[Kind, PixelEquations | _LineEquations | _ShadingEquations]
     solved = {PIXEL: pixels, COLUMN: columns, ROW: rows, SHADING: smooth}
@@ -190,9 +186,7 @@ class _ShadingEquations:
 
     solution: Tensor
 
-    def __init__(
-        self, shading: Shading | None, sigma: Tensor, pixels: PixelEquations, columns: _LineEquations
-    ) -> None:
+    def __init__(self, shading: Shading | None, sigma: Tensor, pixels: PixelEquations, columns: _LineEquations) -> None:
         self.shading, self.size = shading, pixels.maps.shape[1:]
         self.active = [i for i, each in enumerate(sigma.tolist()) if each > 0]  # gain, offset
         if shading is None or not self.active:
@@ -243,9 +237,7 @@ class _ShadingEquations:
         return spread
 
 
-def _solve(
-    columns: _LineEquations, rows: _LineEquations, smooth: _ShadingEquations, pixels: PixelEquations
-) -> bool:
+def _solve(columns: _LineEquations, rows: _LineEquations, smooth: _ShadingEquations, pixels: PixelEquations) -> bool:
     """Set the white values of columns and shading, the rows eliminated; whether they are finite.
 
     Without a part, sigma is zero, and so are its couplings.

@@ -71,9 +71,7 @@ def options_schema(component: Any) -> type[BaseModel]:
 @functools.cache
 def _arguments(component: Any) -> dict[str, inspect.Parameter]:
     """What a function or a constructor takes by name; `**options` stands for what the class's base takes."""
-    bases = (
-        [each for each in component.__mro__ if "__init__" in vars(each)] if inspect.isclass(component) else []
-    )
+    bases = [each for each in component.__mro__ if "__init__" in vars(each)] if inspect.isclass(component) else []
     found: dict[str, inspect.Parameter] = {}
     for call in [vars(each)["__init__"] for each in bases] or [component]:
         hints = typing.get_type_hints(call, include_extras=True)
@@ -93,9 +91,7 @@ def validate(schema: type[BaseModel], options: Any, where: str) -> dict[str, Any
         ConfigError: An option is wrong; the message says what is allowed, with the nearest spelling.
     """
     if not isinstance(options, Mapping):
-        raise ConfigError(
-            f"{where} = {options!r}: a mapping of options is needed ({', '.join(schema.model_fields)})"
-        )
+        raise ConfigError(f"{where} = {options!r}: a mapping of options is needed ({', '.join(schema.model_fields)})")
     given = {key: value for key, value in options.items() if value != "auto"}
     try:
         checked = schema.model_validate(given)

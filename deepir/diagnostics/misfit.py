@@ -39,9 +39,7 @@ CAUSES = (
         "the pixels of a frame are of two times, as on a chessboard (sub-pages), and the camera moves between the two. "
         "Move it more slowly, or let it rest before each frame",
     ),
-    Message(
-        "torn-frames", "torn frame(s), of two times above and below a row. Leave them out by data.frames"
-    ),
+    Message("torn-frames", "torn frame(s), of two times above and below a row. Leave them out by data.frames"),
     Message(
         "unsharp-frames",
         "some frames are less sharp than the others, by focus or by motion, and make the scene softer. Leave them out "
@@ -88,9 +86,7 @@ def misfit(
     return message, float(nats.sum()) / max(1, count), np.flatnonzero(4 * nats > nats.max()).tolist()
 
 
-def causes(
-    residual: Array, precision: Array, whole: Array, flux: Array, gain: Array
-) -> Iterator[tuple[str, Array]]:
+def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: Array) -> Iterator[tuple[str, Array]]:
     """Evidence of each cause: name of its message, and nats of each frame (N,); arguments as of `misfit`."""
     before, after = np.zeros_like(flux), np.zeros_like(flux)
     after[:-1] = flux[1:] - flux[:-1]
@@ -100,6 +96,9 @@ def causes(
     yield "torn-frames", torn - np.median(torn)  # in a few frames: in all of them it is a lag
     weight, white = _whitened(residual, precision)
     response = gain * weight
+    contrast = (flux - flux.mean((1, 2), keepdims=True)) * response  # of a gain control, a part of which may be left
+    power = np.einsum("nij,nij->n", contrast, contrast).clip(1e-12)
+    white -= contrast * (np.einsum("nij,nij->n", contrast, white) / power)[:, None, None]
     height, width = white.shape[1:]
     slope = [_along(flux, axis, (-0.5, 0, 0.5)) * response for axis in (1, 2)]
     curvature = [_along(flux, axis, (1, -2, 1)) for axis in (1, 2)]

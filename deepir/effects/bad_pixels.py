@@ -30,9 +30,7 @@ MAX_MISFIT = 100.0  # squared residual at which that of one sample is clipped: o
 ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
 MIN_REGION = 0.01  # share of the pixels: fewer are no region
 STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little, or as much, over the frames
-CROWD_SHARE = (
-    0.5  # of a pixel's surroundings that stand still before a scene that moves, where it is no chance
-)
+CROWD_SHARE = 0.5  # of a pixel's surroundings that stand still before a scene that moves, where it is no chance
 EXPECTED_CHANGE = 9.0  # variance over the frames, in units of the noise, of the scene that an overlay hides
 RIM_SHARE = 0.5  # of the rim of a static region that is overlay, for all of it to be
 LINE_SAMPLES = 128  # pixels of a line for its median
@@ -58,9 +56,7 @@ def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def static_pixels(
-    frames: Tensor, usable: Tensor, noise: float, probability: float = 1 - STATIC_PROBABILITY
-) -> Tensor:
+def static_pixels(frames: Tensor, usable: Tensor, noise: float, probability: float = 1 - STATIC_PROBABILITY) -> Tensor:
     """Pixels (1, 1, h, w), bool, that do not even show noise, of standard deviation `noise`; of (N, 1, h, w).
 
     probability: At which noise alone varies more: that which is small finds all pixels that show no more than noise.
@@ -94,7 +90,7 @@ def still_region(still: Tensor, expected: Tensor, usable: Tensor, noise: float) 
     A bonnet, a mount or a barrel in view, or pixels that do not respond; expected, usable (N, 1, h, w).
     """
     change, count = changes(expected, usable)
-    found = still & (change > EXPECTED_CHANGE * noise**2 * (count - 1))
+    found = still & (change > EXPECTED_CHANGE * noise**2 * (count - 1).clamp(min=1))
     crowd = box_sum(found.to(change)) > CROWD_SHARE * box_sum(torch.ones_like(change))
     return still & crowd & ((still & crowd).float().mean() >= MIN_REGION)
 
@@ -131,8 +127,7 @@ def overlay_mask(calm: Tensor, expected: Tensor, usable: Tensor, noise: float) -
     names, _ = scipy.ndimage.label(whole, np.ones((3, 3)))
     rim = whole & ~scipy.ndimage.binary_erosion(whole, border_value=1)
     found, all_of_it = (
-        np.bincount(names[rim & each], minlength=names.max() + 1)
-        for each in (drawn[0, 0].numpy(force=True), whole)
+        np.bincount(names[rim & each], minlength=names.max() + 1) for each in (drawn[0, 0].numpy(force=True), whole)
     )
     return drawn | torch.from_numpy((found > RIM_SHARE * all_of_it)[names]).to(drawn)
 
@@ -186,9 +181,7 @@ def with_scene_error(misfit: Tensor, expected: Tensor, usable: Tensor, variance:
         usable: Samples that count, same shape.
         variance: Of the noise, same shape or a number.
     """
-    contrast = (
-        F.max_pool2d(expected, 3, 1, 1).add_(F.max_pool2d(-expected, 3, 1, 1)).div_(2)
-    )  # half the range
+    contrast = F.max_pool2d(expected, 3, 1, 1).add_(F.max_pool2d(-expected, 3, 1, 1)).div_(2)  # half the range
     error = contrast.square_().div_(variance)
     excess = (misfit.clamp(max=MAX_MISFIT) - 1).mul_(usable).sum().clamp_(min=0)
     return misfit / error.mul_(excess / (error * usable).sum().clamp_(min=1e-30)).add_(1)
@@ -230,8 +223,6 @@ class BadPixels(Effect):
             inside = (problem.saturation == 0).all(0, keepdim=True)
             calm, still = calm & inside, still & inside
         gone |= overlay_mask(calm, problem.data - rest, usable, noise)
-        if (
-            problem.motion_unknown() and estimate.step > 1
-        ):  # before, what is expected has the pattern, which moves
+        if problem.motion_unknown() and estimate.step > 1:  # before, what is expected has the pattern, which moves
             gone |= still_region(still, problem.data - rest, usable, noise)
         problem.precision.mul_(~gone)

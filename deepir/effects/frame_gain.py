@@ -112,9 +112,7 @@ def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
 def contrast_slopes(frames: Tensor, expected: Tensor, weight: Tensor, degree: int) -> tuple[Tensor, Tensor]:
     """Least-squares slopes of frames (N, h, w) on their prediction, low-order parts aside; and their information."""
     y, x = (torch.linspace(-1, 1, side).to(frames).double() for side in frames.shape[1:])
-    low_order = torch.stack(
-        [(y**i)[:, None] * x**j for i in range(degree + 1) for j in range(degree + 1 - i)]
-    )
+    low_order = torch.stack([(y**i)[:, None] * x**j for i in range(degree + 1) for j in range(degree + 1 - i)])
     design = torch.cat((expected[:, None].double(), low_order.expand(len(frames), -1, -1, -1)), 1).flatten(2)
     weighted = design * weight.double().flatten(1)[:, None]
     normal = weighted @ design.mT
@@ -218,9 +216,7 @@ def _frame_gains(problem: Problem, expected: Tensor) -> tuple[Tensor, float]:
     """
     h, w = problem.data.shape[-2:]
     step = max(round((h * w / MAX_SAMPLES) ** 0.5), 1)
-    rows, columns = (
-        [slice(side * i // GRID, side * (i + 1) // GRID, step) for i in range(GRID)] for side in (h, w)
-    )
+    rows, columns = ([slice(side * i // GRID, side * (i + 1) // GRID, step) for i in range(GRID)] for side in (h, w))
     given = problem.data, expected, problem.precision
     parts = [[each[:, 0, y, x] for each in given] for y in rows for x in columns]
     blocks = [contrast_slopes(frames, shown, weight, BLOCK_DEGREE) for frames, shown, weight in parts]

@@ -63,9 +63,7 @@ class FrameOffset(Effect):
             return []
         if name in problem.free():
             found = problem.fields[name]().detach().mean((1, 2, 3))
-            chance = sum(
-                each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise)
-            )
+            chance = sum(each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise))
             if float((found - found.mean()).abs().max()) <= least + CHANCE_DRIFT * chance**0.5:
                 return []
             return [

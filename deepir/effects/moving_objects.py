@@ -20,17 +20,13 @@ from deepir.operators.base import slots_of
 from deepir.problem import Problem, Values
 from deepir.registry import register
 
-OBJECT_WEIGHT = (
-    1e-5  # relative weight of a sample that shows an object, which may be hundreds of deviations off
-)
+OBJECT_WEIGHT = 1e-5  # relative weight of a sample that shows an object, which may be hundreds of deviations off
 MIN_GAP = 5.0  # robust standard deviations between two groups of frames at a place of an object
 CLEAR_GAP = 12.0  # the same at one place at least of each object
 MIN_COVERAGE = 0.3  # pixels of a frame that must see a place
 WINDOW = 3  # px: side of the windows whose mean residual is compared
 MIN_WIDTH = 5  # px: thinner regions are edges, no objects
-BACKGROUND_SPREAD = (
-    0.12  # of the gap, up to which the frames without the object agree; with parallax they do not
-)
+BACKGROUND_SPREAD = 0.12  # of the gap, up to which the frames without the object agree; with parallax they do not
 MAX_REGIONS = 8  # before scene and pattern have settled: more are parallax
 SURROUNDINGS = 30  # px around all regions, by which the brightness of the scene is known
 STRIDE = 3  # px between the places that a robust standard deviation is of
@@ -144,8 +140,7 @@ def _registered(problem: Problem, residual: Tensor, values: Values) -> tuple[Ten
     shape = (len(residual), 1, *values["scene"].shape[-2:])
     usable = (problem.precision > 0).to(residual)
     total, weight = (
-        box_sum(problem.operator.adjoint(each, shape, **slots), WINDOW)
-        for each in (residual * usable, usable)
+        box_sum(problem.operator.adjoint(each, shape, **slots), WINDOW) for each in (residual * usable, usable)
     )
     return (total / weight.clamp(min=1e-6))[:, 0], (weight > MIN_COVERAGE * WINDOW**2)[:, 0]
 
@@ -166,9 +161,7 @@ def _usual(seen: Tensor, known: Tensor) -> float:
     count = known.sum(0)
     apart = seen - (seen * known).sum(0) / count.clamp(min=1)
     return (
-        MAD_TO_SIGMA
-        * median(masked_values(apart.abs_(), known & (count > 1)))
-        * (len(seen) / (len(seen) - 1)) ** 0.5
+        MAD_TO_SIGMA * median(masked_values(apart.abs_(), known & (count > 1))) * (len(seen) / (len(seen) - 1)) ** 0.5
     )
 
 
@@ -237,9 +230,7 @@ def foreground(flux: Tensor, known: Tensor, above: Tensor, below: Tensor) -> Ten
         ballot = (2 * shown.to(flux) - 1) * voting
         mean_vote = _box_sum(ballot, vote_side) / _box_sum(voting.to(flux), vote_side).clamp(min=1)
         votes = (side * mean_vote).sum(0) / count
-        of_object, of_scene = (
-            _misfit(groups, flux, voting & some, least, level_side) for some in (shown, ~shown)
-        )
+        of_object, of_scene = (_misfit(groups, flux, voting & some, least, level_side) for some in (shown, ~shown))
         voting = known
         ratio = of_scene[0] - of_object[0] - of_scene[1] + of_object[1]
         score = VOTE_WEIGHT * votes + LEVEL_WEIGHT * ratio + minority
@@ -252,9 +243,7 @@ def foreground(flux: Tensor, known: Tensor, above: Tensor, below: Tensor) -> Ten
 def _misfit(levels: Tensor, flux: Tensor, some: Tensor, least: Tensor, side: int) -> Tensor:
     """Nats by which levels (K, H, W) differ from the mean of `some` samples (N, H, W) in a window; bounded."""
     shown = flux * some
-    count, total, squares = _box_sum(
-        torch.stack([some.sum(0).to(flux), shown.sum(0), shown.square().sum(0)]), side
-    )
+    count, total, squares = _box_sum(torch.stack([some.sum(0).to(flux), shown.sum(0), shown.square().sum(0)]), side)
     mean = total / count.clamp(min=1)
     variance = (squares / count.clamp(min=1) - mean.square()).clamp(min=0) + least
     return ((levels - mean).square() / (2 * variance)).clamp(max=MAX_LEVEL_MISFIT) * (count > MIN_SAMPLES)
@@ -306,9 +295,7 @@ class MovingObjectsMask(Effect):
     def initialise(self, problem: Problem) -> None:
         # A pixel that was given up beside the object stays so.
         alive = (problem.precision > 0).any(0) | problem.moving.all(0)
-        problem.precision.add_(
-            OBJECT_WEIGHT * median_sigma(problem.precision) ** -2 * (problem.moving & alive)
-        )
+        problem.precision.add_(OBJECT_WEIGHT * median_sigma(problem.precision) ** -2 * (problem.moving & alive))
 
     def detect(self, problem: Problem) -> bool:
         found = detect_moving_objects(problem, settled=False)

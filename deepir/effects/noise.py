@@ -55,9 +55,7 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
         signal_k.mul_(noise.per_unit).add_(noise.read).clamp_(min=noise.floor)  # from here on, the variance
         misfit[k].square_().mul_(usable[k]).div_(signal_k)
     if settled:
-        bounds = (
-            usable if problem.saturation is None else usable | (problem.saturation != 0)
-        )  # which misfit nothing
+        bounds = usable if problem.saturation is None else usable | (problem.saturation != 0)  # which misfit nothing
         light = problem.flux(values) if offset else prediction
         own = with_scene_error(misfit, light, usable & ~problem.moving, signal)
         usable &= ~misfitting_pixels(own, bounds)
@@ -128,9 +126,7 @@ def start_precision(problem: Problem) -> None:
     sigma = sample_noise(problem.data[:, 0], usable[:, 0])
     data, counts = subsample(problem.data, usable)
     data_sigma = float(masked_values(data, counts).std())
-    rounded = ROUNDING_SIGMA * quantisation_step(
-        problem.data, usable
-    )  # in a plain scene differences may be all zero
+    rounded = ROUNDING_SIGMA * quantisation_step(problem.data, usable)  # in a plain scene differences may be all zero
     # Noiseless data: a solve still wants finite weights.
     sigma = max(sigma, rounded, 1e-4 * data_sigma)
     problem.precision.copy_(usable / sigma**2)

@@ -110,15 +110,9 @@ def update_parts(problem: Problem) -> None:
                 torch.stack([getattr(part, name).double() if part else means.new_zeros(()) for part in parts])
                 for name in ("sigma", "max_sigma")
             )
-            free = [
-                i
-                for i, p in enumerate(parts)
-                if p and not p.sigma_is_fixed and p.constant_axes not in unasked
-            ]
+            free = [i for i, p in enumerate(parts) if p and not p.sigma_is_fixed and p.constant_axes not in unasked]
             quick = high_order(means) if any(part and part.constant_axes for part in parts) else means
-            for part, found in zip(
-                parts, estimate_sigmas(information, quick, sigma, most, free), strict=True
-            ):
+            for part, found in zip(parts, estimate_sigmas(information, quick, sigma, most, free), strict=True):
                 if part and not part.sigma_is_fixed:
                     part.sigma.copy_(found)
 
@@ -181,11 +175,7 @@ def _likeliest(problem: Problem, margin: float) -> float | None:
         return None
     values = problem.values()
     parts, information, means = next(problem.solved(values, closed).information_blocks())
-    known = [
-        part
-        for part in parts
-        if part and not part.constant_axes and not part.sigma_is_fixed and part.sigma > 0
-    ]
+    known = [part for part in parts if part and not part.constant_axes and not part.sigma_is_fixed and part.sigma > 0]
     if len(known) < 2 or not _follows_level(problem, values):
         return None
     sigma = torch.stack([part.sigma.double() for part in known])

@@ -72,9 +72,7 @@ def estimate_shared_shading(data_sets: Sequence[Problem]) -> None:
             estimate_low_order(each)
         return
     evidence = {each: LowOrderEvidence(each) for each in unknowns}
-    strength = max(each.contrast for each in evidence.values()) * torch.logspace(
-        -4.5, 0.5, 41, dtype=torch.float64
-    )
+    strength = max(each.contrast for each in evidence.values()) * torch.logspace(-4.5, 0.5, 41, dtype=torch.float64)
     strength = torch.cat((strength.new_zeros(1), strength))
     profiles = {each: one.profile(strength, drift=bool(unknowns[each][2])) for each, one in evidence.items()}
     asked = max(one.min_log_bayes_factor for one in evidence.values()) * (strength > 0)
@@ -181,9 +179,7 @@ class Vignetting(Effect):
             self.estimate(problem)
 
         last = schedule("sensor 3")
-        return schedule.before(
-            "scene", replace(last, name="shaded gain", prepare=prepare, needed=self.is_present)
-        )
+        return schedule.before("scene", replace(last, name="shaded gain", prepare=prepare, needed=self.is_present))
 
     def unknown(self, problem: Problem) -> list[Shading]:
         """Shadings of the gain whose standard deviation is to be found; none where too little separates them."""

@@ -67,10 +67,7 @@ class WeightSearch:
             return []
         prefix = "weight" if self.unknown == SCENE else f"weight of {self.unknown}"
         prepare = functools.partial(WeightSearch._begin, self)
-        return [
-            Stage(f"{prefix} {i + 1}", (Step(names),), self.iterations, prepare=prepare)
-            for i in range(N_TRIALS)
-        ]
+        return [Stage(f"{prefix} {i + 1}", (Step(names),), self.iterations, prepare=prepare) for i in range(N_TRIALS)]
 
     def weigh(self, problem: AnyProblem, factor: float = 1.0) -> None:
         """Set the weights to `factor` times the best of the trials; without trials, times what the noise suggests."""
@@ -144,9 +141,7 @@ def held_out_misfit(problem: AnyProblem) -> Tensor:
     return torch.stack([each.double() for each in found]).sum()
 
 
-def next_log2_weight(
-    misfits: dict[float, float], first: float = COARSE_STEP, least: float = -math.inf
-) -> float:
+def next_log2_weight(misfits: dict[float, float], first: float = COARSE_STEP, least: float = -math.inf) -> float:
     """Log2 of the next weight: beyond the best at an end of the range, else next to it, or again the best."""
     if not misfits:
         return first

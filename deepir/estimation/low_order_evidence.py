@@ -85,12 +85,8 @@ class MarginalLikelihood:
         """Negative log marginal likelihood, nats up to a constant, (M,), for prior variances (M, unknowns)."""
         prior = prior.to(self.system)
         one = torch.eye(prior.shape[1], dtype=prior.dtype, device=prior.device)
-        triangle, _ = torch.linalg.cholesky_ex(
-            one + prior[:, :, None].sqrt() * self.system * prior[:, None].sqrt()
-        )
-        whitened = torch.linalg.solve_triangular(
-            triangle, (prior.sqrt() * self.score)[..., None], upper=False
-        )
+        triangle, _ = torch.linalg.cholesky_ex(one + prior[:, :, None].sqrt() * self.system * prior[:, None].sqrt())
+        whitened = torch.linalg.solve_triangular(triangle, (prior.sqrt() * self.score)[..., None], upper=False)
         return (triangle.diagonal(dim1=1, dim2=2).log().sum(1) - whitened.square().sum((1, 2)) / 2).cpu()
 
     def posterior(self, prior: Tensor) -> tuple[Tensor, Tensor]:
@@ -176,14 +172,10 @@ class LowOrderEvidence(_StrengthEvidence):
         variances += [known + chance + (share * self.contrast) ** 2 for share in wrong]
         rare = [0] * len(LINE_VARIANCE_FRACTIONS) + [MIN_LOG_BAYES_FACTOR_MODEL_ERROR] * len(wrong)
         each = [(*self._with_variance(seen, of), nats, of) for of, nats in zip(variances, rare, strict=True)]
-        self.low_order, self.evidence, _, odd, self.doubt = min(
-            each, key=lambda found: float(found[2]) + found[3]
-        )
+        self.low_order, self.evidence, _, odd, self.doubt = min(each, key=lambda found: float(found[2]) + found[3])
         self.min_log_bayes_factor = MIN_LOG_BAYES_FACTOR_WITH_ERROR if odd else MIN_LOG_BAYES_FACTOR
 
-    def _with_variance(
-        self, seen: Tensor, variance: Tensor
-    ) -> tuple[LowOrderModel, MarginalLikelihood, Tensor]:
+    def _with_variance(self, seen: Tensor, variance: Tensor) -> tuple[LowOrderModel, MarginalLikelihood, Tensor]:
         """The low-order model with this variance per frame, its evidence, and its nats with free shading and drift."""
         model, free = self.low_order.with_frame_variance(variance), len(self.low_order.scene.whitened) + 1
         levels = model.level_columns()
@@ -233,9 +225,7 @@ class LowOrderEvidence(_StrengthEvidence):
         grid = self.contrast * torch.logspace(-4.5, 0.5, coarse, dtype=torch.float64)
         # Levels that jump drift by as much, and what was known of the jumps already follows slopes.
         levels = grid.new_tensor([self.jumps / WALK_SIGMA_RATIO]) if self.jumps else grid
-        used = torch.cartesian_prod(
-            torch.arange(1 + smooth), torch.arange(int(drift and self.jumps > 0), 1 + drift)
-        )
+        used = torch.cartesian_prod(torch.arange(1 + smooth), torch.arange(int(drift and self.jumps > 0), 1 + drift))
         best = []
         for each in used:
             some = (of if one else grid.new_zeros(1) for one, of in zip(each, (grid, levels), strict=True))
@@ -328,9 +318,7 @@ class GainOffsetEvidence(_StrengthEvidence):
         self.level = float(z.double().square().mean().sqrt())
         self.spread = float(masked_values(data, precision > 0).std())
         of_gain, of_offset = (_variances(field) for field in gain_and_offset(problem))
-        gain, offset = (
-            _high_order_lines(field, frame)[some].to(flux).flatten() for field in gain_and_offset(problem)
-        )
+        gain, offset = (_high_order_lines(field, frame)[some].to(flux).flatten() for field in gain_and_offset(problem))
         residual = data - (1 + gain) * z - offset
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
@@ -349,9 +337,7 @@ class GainOffsetEvidence(_StrengthEvidence):
         normal = z.new_zeros(())
         jump = has_line_noise(problem)
         count = self.shape.numel() if jump else PIXELS_IN_CACHE  # few are in the cache
-        for *block, block_precision, pixel_columns in zip(
-            *(each.split(count, -1) for each in maps), strict=True
-        ):
+        for *block, block_precision, pixel_columns in zip(*(each.split(count, -1) for each in maps), strict=True):
             normal = normal + normal_matrix(self._columns(*block, jump=jump), block_precision, pixel_columns)
         self.count = len(flux)
         free = 2 * (len(frame.whitened) + 1) + (3 + frame_gains) * (self.count - 1)

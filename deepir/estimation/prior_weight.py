@@ -318,7 +318,5 @@ def _from_zero(problem: Problem, values: dict[str, Tensor], gain: Tensor, offset
     u, v = (float(part.sigma) ** 2 if part else 0.0 for part in parts)
     covariance = -ab * u * v / (1 + u * aa + v * bb + u * v * (aa * bb - ab * ab))
     level = float(problem.reference)
-    variance = (
-        offset.square() + level**2 * gain.square() - 2 * level * covariance.reshape(offset.shape).to(offset)
-    )
+    variance = offset.square() + level**2 * gain.square() - 2 * level * covariance.reshape(offset.shape).to(offset)
     return variance.clamp_min(0).sqrt()

@@ -99,9 +99,7 @@ class _WhittleLikelihood:
         ) ** 2 / 2
 
 
-def _minimise_from(
-    misfit: _WhittleLikelihood, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]
-) -> float:
+def _minimise_from(misfit: _WhittleLikelihood, field: PSF, start: dict[str, Tensor], free: list[nn.Parameter]) -> float:
     """Minimum over spectrum, noise and the free parameters of the field, from a start."""
     field.load_state_dict(start)
     return _minimise(misfit, lambda: misfit.response(field()), free)[0]
@@ -114,9 +112,7 @@ def _minimise(
     scene = torch.tensor(
         [0.0, SPECTRAL_EXPONENT, -1.0], dtype=torch.float64, device=misfit.power.device
     ).requires_grad_()
-    optimiser = torch.optim.LBFGS(
-        [*free, scene], max_iter=MAX_REFINEMENT_ITERATIONS, line_search_fn="strong_wolfe"
-    )
+    optimiser = torch.optim.LBFGS([*free, scene], max_iter=MAX_REFINEMENT_ITERATIONS, line_search_fn="strong_wolfe")
     with torch.no_grad():
         known = None if free else response()
 

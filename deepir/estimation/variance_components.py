@@ -47,9 +47,7 @@ MAX_SIGMA_RATIO = 2.0
 Expansion = tuple[float, np.ndarray, np.ndarray]
 
 
-def estimate_sigmas(
-    information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, free: list[int]
-) -> Tensor:
+def estimate_sigmas(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, free: list[int]) -> Tensor:
     """Prior standard deviations of maximum marginal likelihood.
 
     Args:

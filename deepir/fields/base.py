@@ -197,9 +197,7 @@ class Bounded(Field):
 
     scale: Tensor
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, low: float = 0.0, high: float | None = None
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, low: float = 0.0, high: float | None = None) -> None:
         super().__init__(shape, neutral)
         if not math.isfinite(low) or (high is not None and not low < high < math.inf):
             raise ValueError(f"low = {low}, high = {high}: finite numbers are needed, and high above low")

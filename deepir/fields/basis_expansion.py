@@ -25,9 +25,7 @@ class BasisExpansion(GaussianField):
 
     frequency: Tensor
 
-    def __init__(
-        self, shape: Shape, neutral: float, frequency: Tensor, *, sigma: float | None = None
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float, frequency: Tensor, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral, sigma=sigma)
         self.register_buffer("frequency", frequency, persistent=False)
         self.values = nn.Parameter(torch.zeros(len(frequency)))
@@ -73,9 +71,7 @@ class DCT(BasisExpansion):
     order_y: Tensor
     order_x: Tensor
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, order: int = 20, sigma: float | None = None
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, order: int = 20, sigma: float | None = None) -> None:
         check_counts(order=(order, 1000))
         height, width = shape[-2:]
         longer = max(height, width)
@@ -109,9 +105,7 @@ class DCT(BasisExpansion):
         """The nearest map: the cosines are orthogonal."""
         rest = (value.to(self.values).expand(self.shape) - self.neutral)[0, 0]
         table = self.basis_y.to(rest) @ rest @ self.basis_x.T.to(rest) / rest.numel()
-        self.values.copy_(
-            table[self.order_y, self.order_x] * self.frequency.square() / self.preconditioning_scale
-        )
+        self.values.copy_(table[self.order_y, self.order_x] * self.frequency.square() / self.preconditioning_scale)
 
 
 def _cosines(side: int, count: int) -> Tensor:
@@ -163,7 +157,5 @@ class Radial(BasisExpansion):
     def synthesise(self, coefficients: Tensor) -> Tensor:
         """The profile, interpolated linearly between whole radii, less its mean."""
         profile = coefficients @ self.profile.to(coefficients)
-        found = torch.lerp(
-            profile[self.radius_index], profile[self.radius_index + 1], self.radius_fraction.to(profile)
-        )
+        found = torch.lerp(profile[self.radius_index], profile[self.radius_index + 1], self.radius_fraction.to(profile))
         return found - found.mean()

@@ -33,9 +33,7 @@ class Constant(Field):
         super().__init__(shape, neutral)
         if value is not None and path is not None:
             raise ConfigError("give either 'value' or 'path', not both")
-        given = (
-            torch.tensor(float(neutral if value is None else value)) if path is None else read_map(path, key)
-        )
+        given = torch.tensor(float(neutral if value is None else value)) if path is None else read_map(path, key)
         if given.ndim == 3 and len(self.shape) == 4:  # one channel
             given = given[:, None]
         # Of another shape a slot says whether it takes that, such as points for a motion.

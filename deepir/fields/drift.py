@@ -58,9 +58,7 @@ class Drift(GaussianField):
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         if any(side != 1 for side in shape[1:]):
-            raise ValueError(
-                f"a drift is one value for each frame, (N, 1, 1, 1), and does not fit {tuple(shape)}"
-            )
+            raise ValueError(f"a drift is one value for each frame, (N, 1, 1, 1), and does not fit {tuple(shape)}")
         super().__init__(shape, neutral, sigma=sigma)
         self.values = nn.Parameter(torch.zeros(self.shape))
         self.register_buffer("level_offsets", torch.zeros(self.shape))
@@ -84,8 +82,4 @@ class Drift(GaussianField):
 
     def penalty(self) -> Tensor | None:
         """`½ Σ step² / sigma²`."""
-        return (
-            (self.preconditioning_scale * self.values / self.sigma).square().sum() / 2
-            if self.sigma > 0
-            else None
-        )
+        return (self.preconditioning_scale * self.values / self.sigma).square().sum() / 2 if self.sigma > 0 else None

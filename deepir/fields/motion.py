@@ -191,9 +191,7 @@ class Auto(Homography):
         """The inverse of `matrices`."""
         if self.uses_homography:
             return super().parameters_of(t)
-        return torch.nn.functional.pad(
-            _rigid_parameters(t, self.radius), (0, self.n_parameters - Rigid.n_parameters)
-        )
+        return torch.nn.functional.pad(_rigid_parameters(t, self.radius), (0, self.n_parameters - Rigid.n_parameters))
 
 
 def _rigid(p: Tensor, radius: float) -> Tensor:

@@ -45,17 +45,13 @@ class Shading(GaussianMap):
     #: Standard deviation of each term, in `sigma`, (terms,).
     relative_sigma: Tensor
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None, degree: int = 4
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None, degree: int = 4) -> None:
         super().__init__(shape, neutral, sigma=sigma)
         check_counts(degree=(degree, 20))
         orders = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i) if i + j > 0]
         for k, axis in enumerate("yx"):
             side = shape[k - 2]
-            for name, table in zip(
-                ("basis", "powers", "extended", "products"), _tables(side, degree), strict=True
-            ):
+            for name, table in zip(("basis", "powers", "extended", "products"), _tables(side, degree), strict=True):
                 self.register_buffer(f"{name}_{axis}", table, persistent=False)
             self.register_buffer(
                 f"order_{axis}",

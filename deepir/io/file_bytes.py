@@ -66,9 +66,7 @@ def read_samples(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[
     return np.fromfile(path, dtype, math.prod(shape), offset=offset).reshape(shape)
 
 
-def stream_planes(
-    path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int], gap: int = 0
-) -> Iterator[Array]:
+def stream_planes(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int], gap: int = 0) -> Iterator[Array]:
     """The arrays `shape[1:]` of an array in C order; `offset`: bytes before its first sample, `gap`: between arrays."""
     with path.open("rb") as file:
         file.seek(offset)

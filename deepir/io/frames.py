@@ -106,9 +106,7 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
     taken = numbers[_indices(select)]
     reach = int(np.ptp(taken))
     gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
-    free = (
-        ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
-    )
+    free = ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
     starts = numbers[:-gap][free[:-gap] & free[gap:]]
     if not len(starts):
         return None
@@ -261,9 +259,7 @@ def stream_frames(
 
 def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
     """`read_frames` with the settings of a configuration; `data.crop` is left to the caller."""
-    return read_frames(
-        str(data.path), select=data.frames, grey_within=data.crop, bands=bands, **_layout(data)
-    )
+    return read_frames(str(data.path), select=data.frames, grey_within=data.crop, bands=bands, **_layout(data))
 
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
@@ -286,11 +282,7 @@ def _chosen(frames: Iterator[Array], select: str | int | Sequence[int]) -> Itera
     if any(end is not None and end < 0 for end in ends):
         raise wrong
     numbered = enumerate(frames)
-    chosen = (
-        itertools.islice(numbered, *ends)
-        if isinstance(which, slice)
-        else (k for k in numbered if k[0] in ends)
-    )
+    chosen = itertools.islice(numbered, *ends) if isinstance(which, slice) else (k for k in numbered if k[0] in ends)
     first = next(chosen, None)
     if first is None:
         raise wrong
@@ -360,9 +352,7 @@ def digest(path: str | os.PathLike[str]) -> str:
 
 def is_banded(array: Array) -> bool:
     """Whether an array holds frames of several bands, (N, C, h, w), and no colours, (N, h, w, 3)."""
-    return (
-        array.ndim == 4 and array.dtype.kind in "uif" and 1 < array.shape[1] <= min(MAX_BANDS, array.shape[3])
-    )
+    return array.ndim == 4 and array.dtype.kind in "uif" and 1 < array.shape[1] <= min(MAX_BANDS, array.shape[3])
 
 
 def to_stack(array: Array, source: str) -> Array:
@@ -389,9 +379,7 @@ def to_stack(array: Array, source: str) -> Array:
             "`deepir run` and deepir.run take several bands, (frames, bands, height, width)"
         )
     if array.ndim != 3 or 0 in shape:
-        raise DataError(
-            f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)"
-        )
+        raise DataError(f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)")
     return array
 
 

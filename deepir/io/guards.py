@@ -18,9 +18,7 @@ from deepir.errors import DataError
 GIB = 2**30  # bytes
 MAX_ARRAY_BYTES = 8 * GIB  # largest array that is read at once
 MAX_COMPRESSION_RATIO = 3000  # bytes out of one byte: deflate reaches 1032, LZW about 2700
-LOSSY_TOLERANCE = (
-    0.02  # difference of the channels that a lossy codec may give a grey pixel, share of the range
-)
+LOSSY_TOLERANCE = 0.02  # difference of the channels that a lossy codec may give a grey pixel, share of the range
 MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
 MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
 UNCHECKED_BYTES = GIB // 16  # size up to which a claim is not checked: an empty mask may be that compressible
@@ -58,9 +56,7 @@ class ColourError(DataError):
     """A picture is in colour."""
 
 
-def check_size(
-    path: Path, declared: int, stored: int, *, compressed: bool = False, at_once: bool = True
-) -> None:
+def check_size(path: Path, declared: int, stored: int, *, compressed: bool = False, at_once: bool = True) -> None:
     """Refuse implausible sizes before memory is allocated.
 
     Args:
@@ -75,9 +71,7 @@ def check_size(
     """
     most = max(UNCHECKED_BYTES, MAX_COMPRESSION_RATIO * stored) if compressed else stored
     if not 0 <= declared <= most:
-        raise DataError(
-            f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}"
-        )
+        raise DataError(f"{path}: damaged or truncated: it declares {declared:,} bytes of data but holds {stored:,}")
     if at_once and declared > MAX_ARRAY_BYTES:
         raise DataError(
             f"{path}: {declared / GIB:.1f} GiB of data; at most {MAX_ARRAY_BYTES // GIB} GiB are read at once. "

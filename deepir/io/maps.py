@@ -40,9 +40,7 @@ def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
     return mask[0]
 
 
-def read_truth(
-    path: str | os.PathLike[str], shape: Shape
-) -> dict[str, np.ndarray[Any, np.dtype[np.float32]]]:
+def read_truth(path: str | os.PathLike[str], shape: Shape) -> dict[str, np.ndarray[Any, np.dtype[np.float32]]]:
     """Known arrays of simulated or calibrated data by name, float32.
 
     An `.npz` has `scene`, and may have gain, offset, motion ...; any other file is a picture of the scene.

@@ -160,12 +160,8 @@ def resolve_radiometry(found: Radiometry | None, asked: schema.Radiometry) -> Ra
         return found
     known = (asdict(found) if isinstance(found, law) else {}) | given
     if wrong := given.keys() - {each.name for each in fields(law)}:
-        raise ConfigError(
-            f"data.radiometry: scale and {min(wrong)} exclude each other: a scale or Planck's law"
-        )
-    if missing := [
-        name for name in ("scale", "r1", "b") if name in law.__annotations__ and name not in known
-    ]:
+        raise ConfigError(f"data.radiometry: scale and {min(wrong)} exclude each other: a scale or Planck's law")
+    if missing := [name for name in ("scale", "r1", "b") if name in law.__annotations__ and name not in known]:
         raise ConfigError(
             f"data.radiometry: {min(given)} needs {' and '.join(missing)} too: the file says nothing of kelvin"
         )
@@ -193,9 +189,7 @@ def as_of_frame_0(
             yield frame.astype(np.float32)
             continue
         if first is None or law is None:
-            raise DataError(
-                f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=..."
-            )
+            raise DataError(f"{source}: only some of its frames say what kelvin are; give data.radiometry.scale=...")
         warn_once(
             f"{source}: what makes kelvin of counts changes, {_change(first, laws)}; the counts of such frames are "
             "converted to those of frame 0"
@@ -207,7 +201,5 @@ def _change(first: Radiometry, laws: Sequence[Radiometry | None]) -> str:
     """The first frame whose radiometry is another, and how, in words."""
     number, other = next((k, law) for k, law in enumerate(laws) if law not in (first, None))
     before, after = vars(first), vars(other)
-    what = [
-        f"{each} {before.get(each)}, then {after[each]}" for each in after if before.get(each) != after[each]
-    ]
+    what = [f"{each} {before.get(each)}, then {after[each]}" for each in after if before.get(each) != after[each]]
     return f"at frame {number} first ({'; '.join(what)})"

@@ -46,12 +46,7 @@ def _locate(t, y, height, width, at, ends, fx, fy):
     x, v = x + (width - 1) / 2, v + (height - 1) / 2
     dx, dv = t[0, 0] * nearness, t[1, 0] * nearness
     last_x, last_v = x + dx * (count - 1), v + dv * (count - 1)
-    inside = (
-        min(x, last_x) > 1
-        and max(x, last_x) < width - 2
-        and min(v, last_v) > 1
-        and max(v, last_v) < height - 2
-    )
+    inside = min(x, last_x) > 1 and max(x, last_x) < width - 2 and min(v, last_v) > 1 and max(v, last_v) < height - 2
     if t[2, 0] == 0 and inside:
         _locate_on_line(x, v, dx, dv, width, at, ends, fx, fy)
         return

@@ -22,9 +22,7 @@ MIN_KEYFRAMES = 48  # before an estimate of all: the low-order part needs more
 GROWTH = 1.5  # of the number of keyframes, from one estimate to the next ...
 MAX_NEW_KEYFRAMES = 32  # ... but no more than these
 CHECK_INTERVAL = 8  # frames between two checks whether the maps fit
-FADE_LENGTH = (
-    15  # frames over which new maps take the place of former ones, so that the picture does not jump
-)
+FADE_LENGTH = 15  # frames over which new maps take the place of former ones, so that the picture does not jump
 CHECKS = 3  # newest checks, whose majority decides whether the maps fit
 
 
@@ -168,9 +166,7 @@ class Corrector:
         taken = self._keyframes.taken
         former = self.maps if self._fits else None
         quick = former is None and (self._is_first or self._keyframes.count < MIN_KEYFRAMES)
-        enough = taken >= self._due and self._keyframes.count >= (
-            MIN_QUICK_KEYFRAMES if quick else MIN_KEYFRAMES
-        )
+        enough = taken >= self._due and self._keyframes.count >= (MIN_QUICK_KEYFRAMES if quick else MIN_KEYFRAMES)
         if enough and not self._estimator.busy():
             self._estimator.submit(self._keyframes.chosen(), quick=quick, former=former)
             self._is_first = False

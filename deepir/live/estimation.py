@@ -24,9 +24,7 @@ from deepir.recording.estimate import estimate_fine_offset
 from deepir.recording.keyframes import ChosenFrames, Keyframes, spread
 from deepir.recording.segments import Segment, estimate_segments
 
-SWITCH_INTERVAL = (
-    0.5e-3  # s that a thread keeps the interpreter while keyframes are sent: frames wait no longer
-)
+SWITCH_INTERVAL = 0.5e-3  # s that a thread keeps the interpreter while keyframes are sent: frames wait no longer
 NICENESS = 10  # of the process, where systems have it: frames come first
 QUICK_KEYFRAMES = 24  # that a quick estimate uses at most: with more the fine offset has the same errors
 READY = b"r"  # what the process writes first

@@ -207,9 +207,7 @@ class LiveKeyframes:
             self._steps.append(float(np.abs(small - self._before).mean()))
         self._before = small
         self._pending.append((self.length - 1, frame, small))
-        if not self._newest or (
-            np.abs(small - self._newest[-1][2]).mean() > MIN_CHANGE_RATIO * np.median(self._steps)
-        ):
+        if not self._newest or (np.abs(small - self._newest[-1][2]).mean() > MIN_CHANGE_RATIO * np.median(self._steps)):
             self._taken += min(len(self._pending), MAX_NEWEST - len(self._newest))
             self._newest.extend(self._pending)
             self._pending.clear()

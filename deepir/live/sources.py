@@ -41,9 +41,7 @@ def camera_frames(camera: Camera) -> Iterator[Array]:
             last = now
             yield frame
         elif now - last > FRAME_TIMEOUT:
-            raise DataError(
-                f"the camera has sent no frame for {FRAME_TIMEOUT:g} s: is it unplugged, or busy?"
-            )
+            raise DataError(f"the camera has sent no frame for {FRAME_TIMEOUT:g} s: is it unplugged, or busy?")
         else:
             time.sleep(POLL_INTERVAL)
 

@@ -78,9 +78,7 @@ class Edges:
                 terms = of_gain * level, of_gain, weight, of_gain * step, weight * step
                 for i, term in enumerate(terms):
                     sums[i] += term
-        known = torch.stack([_about(sums[2], axis) for axis, sums in zip(AXES, self.sums, strict=True)]).sum(
-            0
-        )
+        known = torch.stack([_about(sums[2], axis) for axis, sums in zip(AXES, self.sums, strict=True)]).sum(0)
         self.doubt = [_ends(SHARE / known.clamp(min=1e-30), axis) for axis in AXES]
 
     def normal(self, pattern: Tensor) -> Tensor:
@@ -93,9 +91,7 @@ class Edges:
 
     def score(self) -> Tensor:
         """The right-hand side of the normal equations, (2, h, w)."""
-        return torch.stack(
-            [_adjoint(sums[3:], axis) for axis, sums in zip(AXES, self.sums, strict=True)]
-        ).sum(0)
+        return torch.stack([_adjoint(sums[3:], axis) for axis, sums in zip(AXES, self.sums, strict=True)]).sum(0)
 
     def half_difference(self, pattern: Tensor) -> Tensor:
         """Half the difference of what both halves of the frames add to the pattern's level, as its score (h, w).
@@ -107,9 +103,7 @@ class Edges:
             gain, level = pattern.diff(dim=axis)
             rest, early = (b - ab * gain - bb * level for _, ab, bb, _, b in (whole, first))
             weight = whole[2].mean()
-            shares = [
-                (each / sums[2].mean()) for each, sums in ((early, first), (rest - early, whole - first))
-            ]
+            shares = [(each / sums[2].mean()) for each, sums in ((early, first), (rest - early, whole - first))]
             total += _adjoint(weight * (shares[0] - shares[1]) / 2, axis)
         return total
 
@@ -261,9 +255,7 @@ class WhiteParts:
         information = torch.stack((aa + 2 * level * ab + level**2 * bb, ab + level * bb, bb))
         free = [i for i, part in enumerate(self.pair) if part and not part.sigma_is_fixed]
         sigma, most = (
-            torch.stack(
-                [getattr(part, name).double() if part else values.new_zeros(()) for part in self.pair]
-            )
+            torch.stack([getattr(part, name).double() if part else values.new_zeros(()) for part in self.pair])
             for name in ("sigma", "max_sigma")
         )
         means = self.split(values).flatten(1)

@@ -134,9 +134,7 @@ class CorrectionScorer:
             # Where any way of finding it says that the scene stands still, it may.
             pair = each.first, each.second
             self.moved[pair] = self.moved.get(pair, both) & both
-        deviations = [
-            min(_spread(self._detail(*way, k)) for way in self.ways) for pair in self.moved for k in pair
-        ]
+        deviations = [min(_spread(self._detail(*way, k)) for way in self.ways) for pair in self.moved for k in pair]
         typical = float(np.median(deviations)) if deviations else 1.0
         self.deviation = max(typical, float(np.finfo(np.float32).tiny))
 

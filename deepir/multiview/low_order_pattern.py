@@ -138,9 +138,9 @@ class _Grid:
             normal -= np.transpose(levels) @ np.array(levels)
             unknowns = np.linalg.solve(normal, score)
         nodes = unknowns[: len(self.polynomials)] + self.polynomials @ unknowns[len(self.polynomials) :]
-        return np.asarray(
-            self._weights(*np.mgrid[: self.size[0], : self.size[1]].astype(float)) @ nodes
-        ).reshape(self.size)
+        return np.asarray(self._weights(*np.mgrid[: self.size[0], : self.size[1]].astype(float)) @ nodes).reshape(
+            self.size
+        )
 
     def _equations(self, frames: Array, found: Displacement) -> tuple[sp.csr_matrix, Array] | None:
         """L(p) - L(p + v) of the unknowns, and the change of brightness, at some of the known samples."""

@@ -89,9 +89,7 @@ def pattern_gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor
     """How strong the pattern (h, w) is in a frame, and the standard error of that."""
     steps, shared = [], []
     for axis in AXES:
-        counts = usable.narrow(axis, 1, usable.shape[axis] - 1) & usable.narrow(
-            axis, 0, usable.shape[axis] - 1
-        )
+        counts = usable.narrow(axis, 1, usable.shape[axis] - 1) & usable.narrow(axis, 0, usable.shape[axis] - 1)
         steps.append(frame.double().diff(dim=axis)[counts])
         shared.append(pattern.double().diff(dim=axis)[counts])
     y, p = torch.cat(steps), torch.cat(shared)
@@ -204,9 +202,7 @@ def poisson(gradients: Sequence[np.ndarray]) -> np.ndarray:
 
     Poisson's equation with free edges, by the cosine transform.
     """
-    score = sum(
-        -np.diff(each, axis=axis, prepend=0, append=0) for axis, each in zip(AXES, gradients, strict=True)
-    )
+    score = sum(-np.diff(each, axis=axis, prepend=0, append=0) for axis, each in zip(AXES, gradients, strict=True))
     y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in np.shape(score))
     curvature = y[:, None] + x
     curvature[0, 0] = np.inf  # the level stays zero

@@ -35,9 +35,7 @@ MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are 
 BORDER = 2  # px from the border within which no displacement is trusted
 
 
-Pyramid = list[
-    tuple[Array, Array, Array, float]
-]  # of each resolution texture, gradient, structure tensor, damping
+Pyramid = list[tuple[Array, Array, Array, float]]  # of each resolution texture, gradient, structure tensor, damping
 
 
 def texture_pyramid(frame: Array) -> Pyramid:

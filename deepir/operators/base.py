@@ -121,9 +121,7 @@ class Operator(nn.Module):
         name, shape = type(self).__name__, tuple(x.shape) if isinstance(x, Tensor) else x
         if not self.affine:
             if not isinstance(x, Tensor):
-                raise ValueError(
-                    f"{name.lower()} is not linear, nor linear up to a constant: give `at` an input"
-                )
+                raise ValueError(f"{name.lower()} is not linear, nor linear up to a constant: give `at` an input")
             return self._derivative(x.detach(), slots)
 
         def forward(x: Tensor) -> Tensor:

@@ -90,9 +90,7 @@ def sample(scene: Tensor, points: Tensor) -> Tensor:
     total = torch.zeros((), dtype=scene.dtype, device=scene.device)
     for at_y, weight_y in y:
         for at_x, weight_x in x:
-            grid = torch.stack(
-                [(2 * at + 1) / side - 1 for at, side in zip((at_x, at_y), sides, strict=True)], -1
-            )
+            grid = torch.stack([(2 * at + 1) / side - 1 for at, side in zip((at_x, at_y), sides, strict=True)], -1)
             found = F.grid_sample(scene, grid, mode="bilinear", padding_mode="border", align_corners=False)
             total = total + (weight_x * weight_y)[:, None] * found
     return total

@@ -111,12 +111,7 @@ class Linear:
         def flat(apply: Callable[[Tensor], Tensor], shape: Shape) -> Callable[[np.ndarray[Any, Any]], Any]:
             @torch.no_grad()
             def applied(vector: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-                return (
-                    apply(torch.as_tensor(vector, dtype=dtype, device=device).reshape(shape))
-                    .flatten()
-                    .cpu()
-                    .numpy()
-                )
+                return apply(torch.as_tensor(vector, dtype=dtype, device=device).reshape(shape)).flatten().cpu().numpy()
 
             return applied
 

@@ -40,8 +40,5 @@ class Mix(Operator):
         """Three mixtures of two scenes of 4 x 5 px."""
         generator = torch.Generator().manual_seed(0)
         shapes = {"x": (1, 1, 4, 5), "a": (3, 1, 1, 1), "b": (3, 1, 1, 1), "s": (1, 1, 4, 5)}
-        slots = {
-            name: torch.rand(shape, generator=generator, dtype=torch.float64)
-            for name, shape in shapes.items()
-        }
+        slots = {name: torch.rand(shape, generator=generator, dtype=torch.float64) for name, shape in shapes.items()}
         return cls(), slots.pop("x"), slots

@@ -39,9 +39,7 @@ def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, in
     first, later = stages[0], Chain(dict(chain.named()[1:]))
     rest = later if isinstance(first, Warp) else chain
     near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
-    if (
-        near == far
-    ):  # the data are no pictures of the scene, but measurements of it, such as those of a single pixel
+    if near == far:  # the data are no pictures of the scene, but measurements of it, such as those of a single pixel
         return Geometry(1.0, (0, scene[0], 0, scene[1]))
     ratio = (far[0] - near[0]) / size[0]
     height, width = round(ratio * size[0]), round(ratio * size[1])

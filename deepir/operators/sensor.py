@@ -59,8 +59,6 @@ class Sensor(Operator):
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
         """Three frames of 4 x 5 px."""
         generator = torch.Generator().manual_seed(0)
-        x, gain, offset = (
-            torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) + 0.5 for n in (3, 1, 1)
-        )
+        x, gain, offset = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) + 0.5 for n in (3, 1, 1))
         level = torch.linspace(-0.1, 0.1, 3, dtype=torch.float64).reshape(3, 1, 1, 1)
         return cls(), x, {"gain": gain, "offset": offset, "level": level}

@@ -123,9 +123,7 @@ class Warp(Operator):
             return mask.new_ones(len(motion), mask.shape[1], *self.size)
         masks = mask.expand(len(motion), -1, -1, -1)
         # A frame at a time: the points take four times a frame's room.
-        return torch.cat(
-            [self._valid(masks[k : k + 1], motion[k : k + 1], reach) for k in range(len(motion))]
-        )
+        return torch.cat([self._valid(masks[k : k + 1], motion[k : k + 1], reach) for k in range(len(motion))])
 
     def _corners_within(self, motion: Tensor, reach: Tensor) -> bool:
         """Whether all points are in the canvas: straight lines stay straight, so that the frames' corners decide."""
@@ -143,9 +141,7 @@ class Warp(Operator):
         """The scene at the canvas' pixel centres."""
         return to_pixels(x)
 
-    def sampling_points(
-        self, motion: Tensor, rows: slice = ALL_PIXELS, columns: slice = ALL_PIXELS
-    ) -> Tensor:
+    def sampling_points(self, motion: Tensor, rows: slice = ALL_PIXELS, columns: slice = ALL_PIXELS) -> Tensor:
         """Where each pixel looks, (N, h, w, 2), in px from the canvas' centre; or some `rows` and `columns` of them."""
         motion = _without_nan(motion)
         if motion.ndim == 4:
@@ -188,9 +184,7 @@ def project_pixels(
     return torch.stack((px * nearness, py * nearness), 1).permute(0, 2, 3, 1)
 
 
-def footprint(
-    motion: Tensor | None, size: tuple[int, int], ratio: float
-) -> tuple[tuple[int, int], tuple[int, int]]:
+def footprint(motion: Tensor | None, size: tuple[int, int], ratio: float) -> tuple[tuple[int, int], tuple[int, int]]:
     """Canvas that contains the footprints of all frames, with a margin.
 
     Args:
@@ -213,10 +207,7 @@ def footprint(
     points = points + points.new_tensor([[x], [y]])
     low, high = points.amin((0, 2)), points.amax((0, 2))  # straight lines stay straight
     x0, y0 = (CANVAS_MARGIN + math.ceil(max(0.0, -float(v))) for v in low)
-    x1, y1 = (
-        CANVAS_MARGIN + math.ceil(max(float(v), side - 1))
-        for v, side in zip(high, reversed(size), strict=True)
-    )
+    x1, y1 = (CANVAS_MARGIN + math.ceil(max(float(v), side - 1)) for v, side in zip(high, reversed(size), strict=True))
     return (fast_fft_length(y0 + y1 + 1), fast_fft_length(x0 + x1 + 1)), (y0, x0)
 
 

@@ -63,9 +63,7 @@ class Adam(Optimiser):
     def state(self) -> dict[str, Tensor]:
         """Moments and step counts, averages."""
         found = {
-            f"{i}.{name}": value
-            for i, each in self.adam.state_dict()["state"].items()
-            for name, value in each.items()
+            f"{i}.{name}": value for i, each in self.adam.state_dict()["state"].items() for name, value in each.items()
         }
         for kind, each in zip(("mean", "best"), self.averages, strict=False):
             found |= {f"{kind}.{i}": value for i, value in enumerate(each)}

@@ -22,9 +22,7 @@ def free_parameters(problem: AnyProblem, group: Sequence[str]) -> list[nn.Parame
     """Trainable parameters of the fields of a group and of their penalties; not those of fields with zero sigma."""
     penalties = problem.penalties
     fields = [module for name in group for module in problem.fields[name].modules()]
-    inactive = {
-        id(p) for f in fields if isinstance(f, GaussianField) and not f.sigma > 0 for p in f.parameters()
-    }
+    inactive = {id(p) for f in fields if isinstance(f, GaussianField) and not f.sigma > 0 for p in f.parameters()}
     mine = [p for name in group for p in problem.fields[name].parameters() if id(p) not in inactive]
     mine += [p for name in group if name in penalties for p in penalties[name].parameters()]  # type: ignore[attr-defined]
     return [p for p in mine if p.requires_grad and p.numel()]

@@ -54,9 +54,7 @@ def has_fourier_model(problem: Problem) -> bool:
     return seen and several and isinstance(problem.fields["scene"], Pixels)
 
 
-def variance_spectrum(
-    problem: Problem, eliminated: Collection[str], penalty_factor: float = 1.0
-) -> Tensor | None:
+def variance_spectrum(problem: Problem, eliminated: Collection[str], penalty_factor: float = 1.0) -> Tensor | None:
     """Posterior variance of each wave of the scene, averaged over positions in the frame.
 
     Strong line gains are left out: bright and dark parts of the scene separate them from it.

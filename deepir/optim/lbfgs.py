@@ -82,9 +82,7 @@ class LBFGS(Optimiser):
             named |= {f"s{i}": s, f"y{i}": y}
         if self.preconditioner is not None:
             named |= {"scale": self.scale}
-            named |= {
-                f"preconditioner.{name}": tensor for name, tensor in self.preconditioner.tensors.items()
-            }
+            named |= {f"preconditioner.{name}": tensor for name, tensor in self.preconditioner.tensors.items()}
         return named
 
     def load(self, state: dict[str, Tensor]) -> None:

@@ -70,9 +70,7 @@ class LowOrderModel:
         weights = problem.precision[few].masked_fill(problem.held_out[few], 0).double().flatten(1)
         area = height * width / weights.shape[1]
         self.information = area * terms.T @ (weights[..., None] * terms)
-        self.shrinkage = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(
-            self.information
-        )
+        self.shrinkage = torch.eye(terms.shape[1], dtype=terms.dtype, device=device).expand_as(self.information)
 
     def with_frame_variance(self, variance: Tensor) -> LowOrderModel:
         """Copy with an added independent variance of the low-order coefficients of each frame, (terms + 1,)."""
@@ -99,9 +97,7 @@ class LowOrderModel:
         """Negative log-likelihood of the frame scores without low-order parts, nats up to a constant."""
         scores = (self.shrinkage @ seen[..., None])[..., 0]
         system = self.information.clone()
-        system.diagonal(dim1=1, dim2=2).add_(
-            INFORMATION_RIDGE * self.information.diagonal(dim1=1, dim2=2).mean()
-        )
+        system.diagonal(dim1=1, dim2=2).add_(INFORMATION_RIDGE * self.information.diagonal(dim1=1, dim2=2).mean())
         values = torch.linalg.solve(system, scores)
         return ((values * scores).sum() - torch.linalg.slogdet(self.shrinkage).logabsdet.sum()) / 2
 
@@ -143,16 +139,12 @@ def apply_lag(problem: Problem, seen: Tensor) -> Tensor:
     return seen
 
 
-def pattern_variances(
-    problem: Problem, eliminated: Collection[str], max_line_gain: float = math.inf
-) -> Variances:
+def pattern_variances(problem: Problem, eliminated: Collection[str], max_line_gain: float = math.inf) -> Variances:
     """Variance of the free pattern, squared data units, by the axes along which it is constant.
 
     Line gains with a standard deviation above `max_line_gain` are left out.
     """
-    data, precision = subsample(
-        problem.data, problem.precision, max_samples=MAX_SAMPLES_PER_FRAME // len(problem.data)
-    )
+    data, precision = subsample(problem.data, problem.precision, max_samples=MAX_SAMPLES_PER_FRAME // len(problem.data))
     counts = precision > 0
     level = float(((data.square() * counts).sum() / counts.sum()).sqrt())
     found = {PIXEL: 0.0, COLUMN: 0.0, ROW: 0.0, SHADING_KEY: 0.0}
@@ -161,9 +153,7 @@ def pattern_variances(
         for part in problem.fields[name].parts() if name in eliminated else ():
             if kind == "gain" and part.constant_axes in (COLUMN, ROW) and part.sigma > max_line_gain:
                 continue
-            found[SHADING_KEY if isinstance(part, Shading) else part.constant_axes] += (
-                float(part.sigma) * unit
-            ) ** 2
+            found[SHADING_KEY if isinstance(part, Shading) else part.constant_axes] += (float(part.sigma) * unit) ** 2
     return found
 
 
@@ -177,9 +167,7 @@ def expected_variances(variance: Variances, frame: Shading) -> Tensor:
     height, width = frame.shape[-2:]
     each = torch.full((len(frame.whitened),), variance[PIXEL] / (height * width), dtype=torch.float64)
     each = each.to(frame.order_y.device)
-    return (
-        each + (frame.order_y == 0) * variance[COLUMN] / width + (frame.order_x == 0) * variance[ROW] / height
-    )
+    return each + (frame.order_y == 0) * variance[COLUMN] / width + (frame.order_x == 0) * variance[ROW] / height
 
 
 def low_order_inverse_hessian(
@@ -197,8 +185,7 @@ def low_order_inverse_hessian(
     terms = len(low_order.scene.whitened)
     found = additive_variances(problem, eliminated)
     maps = [
-        low_order.level_columns() if isinstance(each, Drift) else low_order.basis_columns(each)[0]
-        for each in others
+        low_order.level_columns() if isinstance(each, Drift) else low_order.basis_columns(each)[0] for each in others
     ]
     whole = low_order.normal_matrix(*maps)
     unit = whole.new_full((len(whole),), float(scene.scale))
@@ -211,12 +198,9 @@ def low_order_inverse_hessian(
         else:  # a steady change is steps, too
             whole[mine, mine].diagonal().add_(1 / each.sigma.double().square())
     prior_variance = (
-        expected_variances(found, low_order.frame)
-        + found[SHADING_KEY] * low_order.frame.relative_sigma.square()
+        expected_variances(found, low_order.frame) + found[SHADING_KEY] * low_order.frame.relative_sigma.square()
     )
-    whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / prior_variance.clamp(
-        min=1e-30
-    )  # the pattern's level is free
+    whole.diagonal()[terms + 1 : 2 * terms + 1] += 1 / prior_variance.clamp(min=1e-30)  # the pattern's level is free
     whole[:terms, :terms] += _penalty_curvature(problem, low_order)
     pattern = torch.arange(len(whole), device=whole.device)
     pattern = (pattern >= terms) & (pattern <= 2 * terms)

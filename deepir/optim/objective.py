@@ -69,9 +69,7 @@ def optimisers_of(problem: AnyProblem, stage: Stage) -> list[tuple[Optimiser, St
     found = []
     for step in steps:
         rates = {name: step.rates.get(name, step.lr) for name in step.group}
-        optimiser = lookup("optimiser", step.method)(
-            problem, step.group, evaluate, lr=rates, average=step.average
-        )
+        optimiser = lookup("optimiser", step.method)(problem, step.group, evaluate, lr=rates, average=step.average)
         found.append((optimiser, step))
     eliminated = [name for step in stage.steps if step.method == "eliminate" for name in step.group]
     for optimiser, _ in found:
@@ -185,9 +183,7 @@ def restore_state(
             prefix = f"optimiser{i}."
             optimiser.load({n.removeprefix(prefix): v for n, v in tensors.items() if n.startswith(prefix)})
     except (KeyError, TypeError, RuntimeError) as error:
-        raise DataError(
-            f"{checkpoint}: the state of another problem ({error}); delete it to start again"
-        ) from error
+        raise DataError(f"{checkpoint}: the state of another problem ({error}); delete it to start again") from error
     return position, optimisers
 
 

@@ -67,9 +67,7 @@ class BlockPreconditioner:
     @property
     def tensors(self) -> dict[str, Tensor]:
         """Those of all blocks."""
-        return {
-            f"{i}.{name}": tensor for i, one in enumerate(self._all()) for name, tensor in one.tensors.items()
-        }
+        return {f"{i}.{name}": tensor for i, one in enumerate(self._all()) for name, tensor in one.tensors.items()}
 
     @tensors.setter
     def tensors(self, found: dict[str, Tensor]) -> None:
@@ -100,12 +98,8 @@ class BlockPreconditioner:
         for each, mine in zip(self.blocks, slopes, strict=True):
             assert each.known is not None
             low = {each.free.scene: mean} | {i: mine[i] for i in each.free.others}
-            common.append(
-                _solved(each.free, [low.get(i, torch.zeros_like(one)) for i, one in enumerate(mine)])
-            )
-            rest.append(
-                _solved(each.known, [one - low[i] if i in low else one for i, one in enumerate(mine)])
-            )
+            common.append(_solved(each.free, [low.get(i, torch.zeros_like(one)) for i, one in enumerate(mine)]))
+            rest.append(_solved(each.known, [one - low[i] if i in low else one for i, one in enumerate(mine)]))
         shared, extra = self._mean(common), self._mean(rest)
         for each, one, other in zip(self.blocks, common, rest, strict=True):
             one[each.free.scene] = shared
@@ -114,9 +108,7 @@ class BlockPreconditioner:
 
     def _mean(self, parts: Sequence[Sequence[Tensor]]) -> Tensor:
         """The mean of the scenes."""
-        return torch.stack([one[each.free.scene] for each, one in zip(self.blocks, parts, strict=True)]).mean(
-            0
-        )
+        return torch.stack([one[each.free.scene] for each, one in zip(self.blocks, parts, strict=True)]).mean(0)
 
 
 def _solved(preconditioner: Preconditioner, slopes: Sequence[Tensor]) -> list[Tensor]:
@@ -192,9 +184,7 @@ class Preconditioner:
     def _freeze_low_frequencies(self, problem: Problem) -> None:
         """Set the inverse curvature to zero at low frequencies and in pixels that hardly any frame shows."""
         found = self.tensors
-        seen = _information(problem, median_sigma(problem.precision) ** -2) > MIN_FRAMES_SEEN / len(
-            problem.data
-        )
+        seen = _information(problem, median_sigma(problem.precision) ** -2) > MIN_FRAMES_SEEN / len(problem.data)
         for name in {"spectrum", "line_spectrum"} & found.keys():
             found[name] *= ~low_frequencies(self.shape, found[name].device)
         for name in {"sample_scale", "line_scale"} & found.keys():
@@ -316,16 +306,10 @@ def _tensors(
     )
 
 
-def _clamped_curvature(
-    problem: Problem, precision: float, pattern: Variances, floor: float
-) -> tuple[Tensor, float]:
+def _clamped_curvature(problem: Problem, precision: float, pattern: Variances, floor: float) -> tuple[Tensor, float]:
     """Curvature along each wave of the scene's parameters, at least `floor` times its mean; and the mean."""
     scene: Any = problem.fields["scene"]
-    shared = (
-        sum(pattern_coupling(problem), torch.zeros(())) / N_MOTION_POSITIONS**2
-        if any(pattern.values())
-        else None
-    )
+    shared = sum(pattern_coupling(problem), torch.zeros(())) / N_MOTION_POSITIONS**2 if any(pattern.values()) else None
     (found,) = fourier_curvature(problem, precision, pattern, [shared])
     found *= float(scene.scale) ** 2
     mean = float(found.mean())

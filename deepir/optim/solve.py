@@ -156,9 +156,7 @@ def _run(
     return "stopped as planned"
 
 
-def _iterate(
-    problem: AnyProblem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], position: Position
-) -> None:
+def _iterate(problem: AnyProblem, stage: Stage, optimisers: list[tuple[Optimiser, Step]], position: Position) -> None:
     """One step of each group, and its row of the history."""
     alternate = len(optimisers) > 1
     loss = position.history[-1]["loss"] if position.iteration else math.nan
@@ -169,11 +167,7 @@ def _iterate(
     position.iteration, position.total = position.iteration + 1, position.total + 1
     position.evaluations += sum(o.take_count() for o, _ in optimisers)
     row = {"stage": stage.name, "iteration": position.iteration, "loss": loss}
-    if (
-        position.iteration % HELD_OUT_REPORT_INTERVAL == 0
-        and not stage.use_held_out
-        and has_held_out(problem)
-    ):
+    if position.iteration % HELD_OUT_REPORT_INTERVAL == 0 and not stage.use_held_out and has_held_out(problem):
         row["held_out"] = held_out_error(problem)
     position.history.append(row)
 
@@ -207,9 +201,7 @@ def _count_samples(problem: AnyProblem) -> int:
 
 
 @torch.no_grad()
-def _raise_if_diverged(
-    problem: AnyProblem, start: Sequence[Tensor], stage: Stage, position: Position
-) -> None:
+def _raise_if_diverged(problem: AnyProblem, start: Sequence[Tensor], stage: Stage, position: Position) -> None:
     """Raise `SolverError` on divergence; an objective that only rose is reset to the start of the stage."""
     first, last = position.history[-position.iteration]["loss"], position.history[-1]["loss"]
     if math.isfinite(last) and last <= MAX_OBJECTIVE_RATIO * max(abs(first), _count_samples(problem)):

@@ -107,9 +107,7 @@ def bursts(
     return _collected(joint, solution, known, chosen, [place for _, place in built], messages + found)
 
 
-def choose_bursts(
-    burst: Burst, config: Config, recipe: Recipe, count: int, frames: int
-) -> list[RegisteredBurst]:
+def choose_bursts(burst: Burst, config: Config, recipe: Recipe, count: int, frames: int) -> list[RegisteredBurst]:
     """In each of `count` equal parts of a recording, the frames about its middle that move most and register.
 
     Raises:
@@ -126,9 +124,7 @@ def choose_bursts(
     )
 
 
-def _best_burst(
-    burst: Burst, config: Config, recipe: Recipe, part: range, frames: int
-) -> RegisteredBurst | None:
+def _best_burst(burst: Burst, config: Config, recipe: Recipe, part: range, frames: int) -> RegisteredBurst | None:
     """The spacing of the frames doubles until they move enough, or fewer register."""
     best: RegisteredBurst | None = None
     frames, spacing = min(frames, len(part)), 1

@@ -58,9 +58,7 @@ def solve_data_sets(
             start_radiometry(each)
     solution, found = solve_jointly(problem, recipe, config, callbacks, checkpoint)
     frames_used, place = used[FIRST], places.pop(FIRST)
-    result = make_result(
-        problem.first, place, solution, burst, frames_used, frames_used, messages + found, math.nan
-    )
+    result = make_result(problem.first, place, solution, burst, frames_used, frames_used, messages + found, math.nan)
     for name, place in places.items():
         add_unknowns(result, problem, name, place)
     return result
@@ -118,9 +116,7 @@ def start_radiometry(data_set: Problem) -> None:
     if not data_set.sensor_unknowns():
         return
     fields = [data_set.fields[data_set.sensor_unknowns()[slot]] for slot in ("gain", "offset")]
-    free = [
-        field for field in fields if not field.parts() and any(p.requires_grad for p in field.parameters())
-    ]
+    free = [field for field in fields if not field.parts() and any(p.requires_grad for p in field.parameters())]
     if len(free) < 2:
         return
     used = data_set.precision > 0

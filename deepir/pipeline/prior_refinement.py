@@ -74,9 +74,7 @@ class PriorRefinement:
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         if self.follows:
             mine.append(
-                dataclasses.replace(
-                    mine[-1], name="looser", change=None, prepare=reduce_weight, needed=is_oversmoothed
-                )
+                dataclasses.replace(mine[-1], name="looser", change=None, prepare=reduce_weight, needed=is_oversmoothed)
             )
         return [*before, *mine]
 

@@ -23,9 +23,7 @@ MAX_STILL_MOTION = 0.5  # px at the frame's edge: a burst at rest moves by less
 MAX_OVERLAY_SHARE = 0.5  # of the pixels that hold one value in all frames, up to which they are an overlay
 
 
-def register_frames(
-    burst: Burst, config: Config, recipe: Recipe
-) -> tuple[Tensor | None, np.ndarray, list[str]]:
+def register_frames(burst: Burst, config: Config, recipe: Recipe) -> tuple[Tensor | None, np.ndarray, list[str]]:
     """Motion (N, 3, 3) of each frame, which frames are used, and messages; no motion if no slot wants it.
 
     Raises:

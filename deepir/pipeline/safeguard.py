@@ -138,9 +138,7 @@ class _Candidates:
         return judged if not np.isnan(judged) else min(self.whole.residual.nats, self.fine.residual.nats)
 
 
-def _candidates(
-    name: str, scorer: CorrectionScorer, burst: Burst, gain: Array, offset: Array
-) -> _Candidates | None:
+def _candidates(name: str, scorer: CorrectionScorer, burst: Burst, gain: Array, offset: Array) -> _Candidates | None:
     """None if no pair of frames has known displacements."""
     level = float(np.median(burst.frames[burst.valid]))
     pattern, good = offset + (gain - 1) * level, ~burst.bad_pixels
@@ -149,9 +147,7 @@ def _candidates(
     if whole is None or fine is None:
         return None
     short = Correction(f"{name}, without its low-order part", gain, offset - low_order, fine)
-    return _Candidates(
-        Correction(name, gain, offset, whole), short, low_order, not is_implausible(pattern, good)
-    )
+    return _Candidates(Correction(name, gain, offset, whole), short, low_order, not is_implausible(pattern, good))
 
 
 def _doubtful(found: _Candidates, raw: _Candidates, shared: ResidualPattern) -> bool:
@@ -225,9 +221,7 @@ def _scorer(burst: Burst, corrections: list[tuple[Array, Array]], level: Array) 
     if burst.beside is not None:
         finite = np.isfinite(burst.beside)
         pairs = [(k, k + 1) for k in range(0, len(burst.beside), 2)]
-        return CorrectionScorer(
-            np.where(finite, burst.beside, 0), finite & ~burst.bad_pixels, pairs, corrections
-        )
+        return CorrectionScorer(np.where(finite, burst.beside, 0), finite & ~burst.bad_pixels, pairs, corrections)
     count = len(burst.frames)
     pairs = [(k, k + gap) for gap in GAPS for k in range(count - gap)]
     pairs = pairs[:: max(1, -(-len(pairs) // OWN_PAIRS))]
@@ -241,9 +235,7 @@ def _replaced(result: Result, burst: Burst, gain: Array, offset: Array, message:
     corrected = torch.from_numpy((burst.frames - offset) / gain)[:, None]
     own = result.scene.ndim == 3
     frames = corrected if own else corrected[:1]
-    scene = torch.cat([fill_nearest(each[None], ok[None]) for each, ok in zip(frames, good, strict=False)])[
-        :, 0
-    ]
+    scene = torch.cat([fill_nearest(each[None], ok[None]) for each, ok in zip(frames, good, strict=False)])[:, 0]
     new = neutral((scene if own else scene[0]).numpy(), len(burst.frames), burst.size, burst.bad_pixels)
     if not own:
         new.frames_used[1:], new.motion[1:] = False, np.nan

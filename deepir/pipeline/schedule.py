@@ -32,9 +32,7 @@ from deepir.schedule import Stage, Step
 MAX_FRAMES = 10**6  # more frames than any burst has
 ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
 SIGNAL_WINDOW = 5  # px: side of the window whose mean is a sample's signal
-MIN_RELATIVE_VARIANCE = (
-    0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
-)
+MIN_RELATIVE_VARIANCE = 0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
 #: Problems that take several bands.
 PROBLEMS = ("nuc", "generic")
 #: What each band has by itself; the motion and the frames that are used are those of all.
@@ -83,17 +81,12 @@ def plan(problem: AnyProblem, recipe: Recipe, config: Config) -> list[Stage]:
         stages = refinement.after(stages, recipe.weigh_prior)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
-    return [
-        dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap))
-        for s in stages
-    ]
+    return [dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap)) for s in stages]
 
 
 def network_message(problem: AnyProblem, stages: list[Stage]) -> list[str]:
     """A line if a network draws the scene and moves by L-BFGS together with the sensor, for lack of `scene.fit`."""
-    moved = {
-        name for stage in stages for step in stage.steps if step.method == "lbfgs" for name in step.group
-    }
+    moved = {name for stage in stages for step in stage.steps if step.method == "lbfgs" for name in step.group}
     scene = next((problem.fields[name] for name in problem.scenes if name in moved), None)
     if scene is None or not scene.is_network:
         return []
@@ -120,9 +113,7 @@ def _check_groups(problem: AnyProblem, stage: Stage, where: str) -> None:
             if name not in problem.fields:
                 raise ConfigError(f"{where}: no unknown '{name}'; {nearest(name, problem.fields)}")
             if step.method == "eliminate" and name not in problem.closed_form():
-                raise ConfigError(
-                    f"{where}: '{name}' has no closed form; {nearest(name, problem.closed_form())}"
-                )
+                raise ConfigError(f"{where}: '{name}' has no closed form; {nearest(name, problem.closed_form())}")
 
 
 Mask = np.ndarray[Any, Any]
@@ -200,10 +191,7 @@ def solve_bands(burst: Burst, solve: Callable[[Burst], Result]) -> Result:
     if first.frames_used.sum() > 1:  # else its motion is not trusted, and each band finds its own
         ratio = first.scene.shape[-1] / burst.size[1]
         motion = rescale_motion(torch.from_numpy(first.motion), 1 / ratio).numpy()
-    results = [
-        first if c == lead else solve(dataclasses.replace(band, motion=motion))
-        for c, band in enumerate(bands)
-    ]
+    results = [first if c == lead else solve(dataclasses.replace(band, motion=motion)) for c, band in enumerate(bands)]
     return _stacked(results, lead)
 
 
@@ -211,9 +199,7 @@ def contrast_to_noise(band: Burst) -> float:
     """How much the frames change as the camera moves, relative to their noise; a fixed pattern does not count."""
     if len(band.frames) < 2:
         return 0.0
-    levels = [
-        np.median(frame[ok]) if ok.any() else 0.0 for frame, ok in zip(band.frames, band.valid, strict=True)
-    ]
+    levels = [np.median(frame[ok]) if ok.any() else 0.0 for frame, ok in zip(band.frames, band.valid, strict=True)]
     change = np.diff(np.where(band.valid, band.frames - np.reshape(levels, (-1, 1, 1)), 0.0), axis=0)
     noise = sample_noise(torch.from_numpy(band.frames), torch.from_numpy(band.valid & ~band.bad_pixels))
     return float(change.std()) / max(noise, 1e-30)

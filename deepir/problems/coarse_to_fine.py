@@ -96,10 +96,7 @@ def _take_known_maps(problem: Problem, half: Problem) -> None:
     of_half = half.sensor_unknowns()
     for slot, unknown in problem.sensor_unknowns().items():
         value = problem.fields[unknown]()
-        if (
-            isinstance(known := half.fields[of_half[slot]], Constant)
-            and value.shape[-2:] == problem.data.shape[-2:]
-        ):
+        if isinstance(known := half.fields[of_half[slot]], Constant) and value.shape[-2:] == problem.data.shape[-2:]:
             known.values.copy_(_smaller(value))
 
 
@@ -124,9 +121,7 @@ def _smaller(frames: Tensor) -> Tensor:
     weights = torch.tensor(BINOMIAL).to(frames) / sum(BINOMIAL)
     h, w = (2 * (side // 2) for side in frames.shape[-2:])
     reach = len(BINOMIAL) // 2 - 1
-    down = F.conv2d(
-        frames[..., :h, :w], weights[:, None].expand(1, 1, -1, 1), stride=(2, 1), padding=(reach, 0)
-    )
+    down = F.conv2d(frames[..., :h, :w], weights[:, None].expand(1, 1, -1, 1), stride=(2, 1), padding=(reach, 0))
     return F.conv2d(down, weights.expand(1, 1, 1, -1), stride=(1, 2), padding=(0, reach))
 
 
@@ -182,9 +177,7 @@ def gauss_newton_motion_step(problem: Problem) -> float:
     y, x = (torch.arange(side, device=flux.device)[EVERY_THIRD] - (side - 1) / 2 for side in (h, w))
     turn = (down * x - across * y[:, None]) / (math.hypot(h, w) / 2)
     slopes = torch.stack((across, down, turn), 1).double().flatten(2)
-    weight, apart = (
-        each[1:, 0, EVERY_THIRD, EVERY_THIRD].double().flatten(1) for each in (problem.precision, rest)
-    )
+    weight, apart = (each[1:, 0, EVERY_THIRD, EVERY_THIRD].double().flatten(1) for each in (problem.precision, rest))
     normal = torch.einsum("kis,ks,kjs->kij", slopes, weight, slopes)
     ridge = 1e-9 * normal.diagonal(dim1=1, dim2=2).mean().clamp(min=1e-30)  # a flat scene asks for nothing
     normal += ridge * torch.eye(3, device=flux.device)

@@ -107,9 +107,7 @@ def start_motion(problem: Problem) -> None:
     seen = field().double()
     frames = torch.eye(len(seen), dtype=seen.dtype, device=seen.device)
     field.init_from(
-        torch.linalg.solve(apply_lag(problem, path_of(problem).interpolate(frames)), seen.flatten(1)).view_as(
-            seen
-        )
+        torch.linalg.solve(apply_lag(problem, path_of(problem).interpolate(frames)), seen.flatten(1)).view_as(seen)
     )
 
 

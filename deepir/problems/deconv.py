@@ -73,9 +73,7 @@ class Deconv(Recipe):
         stages = [
             *(sensor if eliminate else [Stage("start", still, 40)]),
             *self.search.stages(problem),
-            Stage(
-                "scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True
-            ),
+            Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True),
         ]
         return Schedule(stages)
 
@@ -98,9 +96,7 @@ def hold_sensor(problem: Problem) -> list[str]:
     """Leave gain and offset as they are where the frames do not move, and say so: a scene would explain any pattern."""
     closed = problem.closed_form()
     motion = problem.values().get(problem.motion_unknown())
-    if not closed or (
-        motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= MAX_STILL_MOTION
-    ):
+    if not closed or (motion is not None and float((motion - motion[:1])[:, :2, 2].abs().max()) >= MAX_STILL_MOTION):
         return []
     for name in closed:
         problem.fields[name].requires_grad_(False)
@@ -148,9 +144,7 @@ def start_psf(problem: Problem) -> list[str]:
                 )
         elif isinstance(field, Simplex):
             size = (int(frames.shape[-2]), int(frames.shape[-1]))
-            found = [
-                kind(field.shape, size=size).to(frames) for kind in (Gaussian, Airy, Defocus, MotionBlur)
-            ]
+            found = [kind(field.shape, size=size).to(frames) for kind in (Gaussian, Airy, Defocus, MotionBlur)]
             best = min(found, key=lambda each: fit_psf(each, frames, usable))
             field.init_from(best().detach())
     return messages

@@ -79,9 +79,7 @@ def pattern_is_strong(problem: Problem, rest: Tensor) -> bool:
 
 
 @torch.no_grad()
-def subtract_fixed_pattern(
-    problem: Problem, rest: Tensor, taken: Tensor, noise: float, *, strong: bool
-) -> Tensor:
+def subtract_fixed_pattern(problem: Problem, rest: Tensor, taken: Tensor, noise: float, *, strong: bool) -> Tensor:
     """Subtract the fixed pattern from the scene's start, pattern and scene by turns.
 
     A pattern many times stronger than the scene dominates the average, and no solve recovers from that. Of weaker ones
@@ -114,9 +112,7 @@ def subtract_fixed_pattern(
 
 
 @torch.no_grad()
-def start_scene(
-    problem: Problem, average: RegisteredAverage | None = None, pattern: Tensor | float = 0.0
-) -> None:
+def start_scene(problem: Problem, average: RegisteredAverage | None = None, pattern: Tensor | float = 0.0) -> None:
     """Start the scene at the registered average of the frames; unobserved pixels take their nearest neighbour.
 
     Args:

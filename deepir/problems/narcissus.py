@@ -43,12 +43,8 @@ ONE_FRAME_MESSAGE = Message(
     "the scene is in it, its own fine parts and the pattern of the pixels are in the scene. Take 5 frames or more "
     "while the camera moves",
 )
-KNOWN_SENSOR_FACTOR = (
-    3  # times the iterations where the sensor is known: no elimination speeds the stray flux up
-)
-SCENE_REPEATS = (
-    3  # of the scene's own stage: its curvature changes as the prior smooths the noise of strong stray flux
-)
+KNOWN_SENSOR_FACTOR = 3  # times the iterations where the sensor is known: no elimination speeds the stray flux up
+SCENE_REPEATS = 3  # of the scene's own stage: its curvature changes as the prior smooths the noise of strong stray flux
 
 
 @torch.no_grad()
@@ -136,8 +132,7 @@ class Narcissus(NUC):
             ),
         ]
         return Schedule(
-            replace(each, iterations=each.iterations * (1 if closed else KNOWN_SENSOR_FACTOR))
-            for each in stages
+            replace(each, iterations=each.iterations * (1 if closed else KNOWN_SENSOR_FACTOR)) for each in stages
         )
 
     def _prepare(self, prepare: Callable[[Problem], None] | None, problem: Problem) -> None:
@@ -173,9 +168,7 @@ def _demand_terms(problem: Problem) -> None:
     stages = dict(problem.operator.named())
     for slot, name in problem.slots.items():
         field = problem.fields[name]
-        if isinstance(stages[slot.rpartition(".")[0]], Add) and not isinstance(
-            field, BasisExpansion | Constant
-        ):
+        if isinstance(stages[slot.rpartition(".")[0]], Add) and not isinstance(field, BasisExpansion | Constant):
             raise ConfigError(
                 f"physics.{slot}: stray flux that is free at each pixel is the offset. Take dct (smooth) or radial, "
                 "or a constant"

@@ -59,9 +59,7 @@ class NUC(Recipe):
         fourier = all(map(has_fourier_model, problem.data_sets))
         frames = min(len(each.data) for each in problem.data_sets)
         short, long, last = ITERATIONS[fourier]
-        rough, fine, scene = (
-            (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
-        )
+        rough, fine, scene = (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
         first = (Step(tuple(name for name in free if name not in fixed)), *eliminate)
         final = (Step(tuple(problem.scenes)),)
         schedule = Schedule(

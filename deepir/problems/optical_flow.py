@@ -173,9 +173,7 @@ class DenseMotion(NUC):
         corrected = (problem.data - offset - level) / gain
         flow: Any = problem.fields[_name(problem)]
         with torch.enable_grad():
-            moved = optical_flow(
-                corrected[:, 0].cpu(), (problem.precision[:, 0] > 0).cpu(), copy.deepcopy(flow).cpu()
-            )
+            moved = optical_flow(corrected[:, 0].cpu(), (problem.precision[:, 0] > 0).cpu(), copy.deepcopy(flow).cpu())
         for effect in self.effects:
             if isinstance(effect, ReferenceLevel):
                 effect.update(problem, settled=False)

@@ -58,9 +58,7 @@ class Recipe:
     effect_names: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, effects: Sequence[Effect] | None = None) -> None:
-        self.effects = (
-            [lookup("effect", name)() for name in self.effect_names] if effects is None else list(effects)
-        )
+        self.effects = [lookup("effect", name)() for name in self.effect_names] if effects is None else list(effects)
         #: Whether gain and offset follow the scene in a last stage, so that their uncertainty is in its prior.
         self.sensor_follows = False
         #: Warnings of the initial estimate.

@@ -46,9 +46,7 @@ class SR(Recipe):
         weigh_scene(problem, self.sensor_weight)
         self.search.start(problem)
         stages = [stage for _, stage in problem.operator.named() if isinstance(stage, Downsample)]
-        factor = math.prod(
-            float(stage.factor) for stage in stages
-        )  # px of the scene for each of the detector's
+        factor = math.prod(float(stage.factor) for stage in stages)  # px of the scene for each of the detector's
         self.messages = few_frames(len(problem.data), factor)
 
     def plan(self, problem: Problem) -> Schedule:

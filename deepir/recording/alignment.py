@@ -23,9 +23,7 @@ from deepir.kernels.compile import parallel_for
 
 Array = np.ndarray[Any, Any]
 
-BORDER = (
-    3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
-)
+BORDER = 3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
 MIN_SEEN = 0.99  # of the spline's weight that lies on known canvas, so that a sample counts as predicted
 SHIFT_SIGMA = 6.0  # px; Gaussian whose mean is taken off before frames are correlated
 REFINE_SIGMA = 8.0  # px; the same before motion is refined: what is slower is left to the sensor's estimate
@@ -139,9 +137,7 @@ class Spectrum:
         padded = fft.next_fast_len(int(PADDING * height)), fft.next_fast_len(int(PADDING * width))
         window = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in frame.shape))).astype(np.float32)
         detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
-        shown, square, whole = (
-            fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window)
-        )
+        shown, square, whole = (fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window))
         return cls(shown, square, whole, padded)
 
 

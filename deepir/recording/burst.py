@@ -124,9 +124,7 @@ class Burst:
     def corrected(self, offset: Array, gain: Array) -> Array:
         """Frames (n, h, w) without pattern and level."""
         levels, gains = (np.asarray(each, np.float32)[:, None, None] for each in (self.levels, self.gains))
-        return np.asarray(
-            (self.frames / gains - levels - offset.astype(np.float32)) / gain.astype(np.float32)
-        )
+        return np.asarray((self.frames / gains - levels - offset.astype(np.float32)) / gain.astype(np.float32))
 
     def align(self, offset: Array, gain: Array, free: int) -> None:
         """Refine the motion."""
@@ -294,14 +292,10 @@ def find_burst(
     few = np.unique(np.append(np.arange(0, len(kept), -(-len(kept) // TRIAL_FRAMES)), reference))
     known, detail = usable[kept[few]].astype(np.float32), frames[kept[few]] - pattern
     place = int(np.searchsorted(few, reference))
-    trials = [
-        _misfit(detail, known, links.motion(each, half)[chosen][few], place, each) for each in CURVATURES
-    ]
+    trials = [_misfit(detail, known, links.motion(each, half)[chosen][few], place, each) for each in CURVATURES]
     curvature = CURVATURES[int(np.argmin(trials))]
     motion = links.motion(curvature, half)[chosen]
-    burst = Burst(
-        frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ
-    )
+    burst = Burst(frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ)
     return burst, kept, pattern
 
 

@@ -28,9 +28,7 @@ def findings_lines(estimate: SensorEstimate) -> Iterator[str]:
         yield "motion: near and far things move differently; the offset rests on local displacements"
     found, left = estimate.pattern_deviations
     if np.isfinite(left):
-        yield (
-            f"offset: standard deviation {found:.3g}, uncertain by {left:.2g} (root mean square over the pixels)"
-        )
+        yield (f"offset: standard deviation {found:.3g}, uncertain by {left:.2g} (root mean square over the pixels)")
 
 
 @dataclass(frozen=True)
@@ -90,9 +88,7 @@ class CorrectedRecording:
     @property
     def messages(self) -> tuple[str, ...]:
         """Those of all parts, each once."""
-        return tuple(
-            dict.fromkeys(each for part in self.segments if part.estimate for each in part.estimate.messages)
-        )
+        return tuple(dict.fromkeys(each for part in self.segments if part.estimate for each in part.estimate.messages))
 
     @functools.cached_property
     def maps(self) -> CorrectionMaps:

@@ -67,9 +67,7 @@ class DisplacedFrames:
         self.common_error = np.zeros(frames.shape[1:])
         rows, columns = np.indices(frames.shape[1:], float)
         self._at = [(rows, columns), *((each.y, each.x) for each in found)]
-        self._shown = np.stack(
-            [frames[0], *(sampled(f, *at) for f, at in zip(frames[1:], self._at[1:], strict=True))]
-        )
+        self._shown = np.stack([frames[0], *(sampled(f, *at) for f, at in zip(frames[1:], self._at[1:], strict=True))])
         slope = np.hypot(*np.gradient(ndimage.gaussian_filter(frames[0], 1.0)))
         variance = noise**2 + (DISPLACEMENT_ERROR * slope) ** 2
         known = np.stack([np.any([each.known for each in found], axis=0), *(each.known for each in found)])

@@ -78,9 +78,7 @@ class SensorSolution:
         return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, 0.0)
 
 
-def solve_sensor(
-    bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None
-) -> SensorSolution:
+def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
     """Estimate offset and gain from bursts of one sensor.
 
     Args:

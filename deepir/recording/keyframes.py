@@ -114,9 +114,7 @@ def _pictures(keyframes: Keyframes) -> Keyframes:
     """The keyframes without those of samples that say nothing of each other, as numbers of a calibration do not."""
     some = keyframes.frames[:, :SHORT_SIDE]  # rows enough
     detail = np.array([noise_deviation(frame[None]) for frame in some])
-    odd = (detail > MAX_DETAIL_RATIO * np.median(detail)) & (
-        detail > MAX_INDEPENDENCE * np.nanstd(some, axis=(1, 2))
-    )
+    odd = (detail > MAX_DETAIL_RATIO * np.median(detail)) & (detail > MAX_INDEPENDENCE * np.nanstd(some, axis=(1, 2)))
     if odd.any():
         numbers = ", ".join(map(str, keyframes.numbers[odd]))
         warn_once(f"frame(s) {numbers} are no pictures like the others and are left out of the estimate")
@@ -225,8 +223,7 @@ class KeyframeCollector:
                 self.taken += 1
             return
         stands = (
-            self._last is not None
-            and float(np.abs(self._last - small).mean()) < MIN_CHANGE_OF_GROUP * self._typical
+            self._last is not None and float(np.abs(self._last - small).mean()) < MIN_CHANGE_OF_GROUP * self._typical
         )
         if stands or number - self._opening < GROUP_SIZE * self._spacing:
             return
@@ -263,9 +260,7 @@ def motion_spacing(recent: Array) -> tuple[int, float]:
         The spacing, frames, from which the change is `CHANGE_WITHIN_SPACING` of the largest one, above noise; and that
         largest change, frames' units.
     """
-    changes = {
-        gap: float(np.abs(recent[gap:] - recent[:-gap]).mean()) for gap in SPACINGS if gap < len(recent)
-    }
+    changes = {gap: float(np.abs(recent[gap:] - recent[:-gap]).mean()) for gap in SPACINGS if gap < len(recent)}
     if not changes:
         return 1, 0.0
     least, most = changes[min(changes)], max(changes.values())

@@ -145,8 +145,7 @@ class LowOrderModes:
         """Means over blocks about places (rows and columns of the frame), (places, count)."""
         values = self._along(0, self._down, y) * self._along(1, self._across, x)
         rests = [
-            ((y, x)[axis] - (self.size[axis] - 1) / 2 - values @ slope) / norm
-            for axis, slope, _, norm in self._slopes
+            ((y, x)[axis] - (self.size[axis] - 1) / 2 - values @ slope) / norm for axis, slope, _, norm in self._slopes
         ]
         return np.column_stack([values, *rests])
 
@@ -249,8 +248,7 @@ def low_order_equations(
     change /= np.maximum(weight, np.finfo(float).tiny)
     seen = weight.sum(0) > MIN_WEIGHT * weight.sum(0).max()
     y, x, bright, gy, gx = (
-        block_sums(each, block)[seen] / block**2
-        for each in (*centred(scene.shape), scene, *np.gradient(scene))
+        block_sums(each, block)[seen] / block**2 for each in (*centred(scene.shape), scene, *np.gradient(scene))
     )
     own, half = [np.ones_like(y)], max(modes.size) / 2
     if with_motion:

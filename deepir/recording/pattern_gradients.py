@@ -61,9 +61,7 @@ def gradient_consensus(frames: Array, usable: Array) -> Array:
     for down, right in ((1, 0), (0, 1)):
         shape = frames.shape[1] - down, frames.shape[2] - right
         gradient, weight = np.zeros(shape), np.zeros(shape)
-        parallel_for(
-            shared_gradients, shape[0], frames, good, variances, down, right, ITERATIONS, gradient, weight
-        )
+        parallel_for(shared_gradients, shape[0], frames, good, variances, down, right, ITERATIONS, gradient, weight)
         gradients.append(gradient)
         weights.append(weight)
     offset = _integrated(gradients, weights)
@@ -75,9 +73,7 @@ def _gradient_variances(frames: Array) -> Array:
     gradients = sampled_gradients(frames, GRADIENT_STRIDE, GRADIENT_STRIDE)
     common = np.median(gradients[:: max(1, len(frames) // FRAMES_OF_SCALE)], axis=0)
     variances = np.median(np.abs(gradients - common), axis=1) ** 2
-    return np.maximum(variances, max(MIN_VARIANCE * variances.max(), np.finfo(np.float32).tiny)).astype(
-        np.float32
-    )
+    return np.maximum(variances, max(MIN_VARIANCE * variances.max(), np.finfo(np.float32).tiny)).astype(np.float32)
 
 
 def sampled_gradients(frames: Array, stride_down: int, stride_across: int) -> Array:

@@ -165,9 +165,7 @@ def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> l
     if len(refused) == len(parts):
         raise refused[0]
     return [
-        each
-        if each.estimate
-        else _with_maps_of_neighbour(each, found[max(0, k - 1) : k + 2], keyframes.frames[part])
+        each if each.estimate else _with_maps_of_neighbour(each, found[max(0, k - 1) : k + 2], keyframes.frames[part])
         for k, (each, part) in enumerate(zip(found, parts, strict=True))
     ]
 
@@ -182,9 +180,7 @@ def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], fra
     return segment
 
 
-def _estimate(
-    keyframes: Keyframes, former: CorrectionMaps | None, jumps: Sequence[int] = ()
-) -> SensorEstimate:
+def _estimate(keyframes: Keyframes, former: CorrectionMaps | None, jumps: Sequence[int] = ()) -> SensorEstimate:
     """From all keyframes, or from those in which the camera moves, if it stands in most of them."""
     try:
         return estimate_sensor(keyframes, former=former, jumps=jumps)

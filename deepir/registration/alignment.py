@@ -203,9 +203,7 @@ def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
     centre, cutoff = centre_and_cutoff((sparse.frames - expected).flatten(1), known.flatten(1))
     n, (p, rows, _) = len(sparse.frames), ax.shape
     equations = torch.empty(rows, n, p + 2, p + 3)
-    parallel_for(
-        loops.gauss_newton_sums, rows, *images, ax, ay, stride, float(level.factor), centre, cutoff, equations
-    )
+    parallel_for(loops.gauss_newton_sums, rows, *images, ax, ay, stride, float(level.factor), centre, cutoff, equations)
     return equations
 
 

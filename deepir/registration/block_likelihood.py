@@ -77,9 +77,7 @@ def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) 
     ratios = []
     for likelihood, centre in blocks(frames, grid):
         point, ratio = torch.tensor([*centre, 1.0], dtype=torch.float64)[:, None], 0.0
-        old, new = (
-            (transform_points(motion[1:], point) - point[:2])[:, :, 0].numpy() for motion in (before, after)
-        )
+        old, new = ((transform_points(motion[1:], point) - point[:2])[:, :, 0].numpy() for motion in (before, after))
         for shifts in (new, old):
             likelihood.update_powers(shifts)
             nats = [likelihood.negative_log_likelihood(each.ravel())[0] for each in (old, new)]
@@ -91,9 +89,7 @@ def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) 
 def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.ndarray]]:
     """Likelihood of each block of frames `(N, h, w)`, and its centre (x, y) in px from the frame's."""
     h, w = frames.shape[1:]
-    rows, columns = (
-        [slice(a * side // grid[-1][1], b * side // grid[-1][1]) for a, b in grid] for side in (h, w)
-    )
+    rows, columns = ([slice(a * side // grid[-1][1], b * side // grid[-1][1]) for a, b in grid] for side in (h, w))
     for y, x in itertools.product(rows, columns):
         yield ShiftLikelihood(frames[:, y, x]), np.array([x.start + x.stop - w, y.start + y.stop - h]) / 2
 

@@ -122,9 +122,7 @@ def register_pan(level: Level, selection: FrameSelection, model: str) -> FrameSe
     for _ in range(PAN.max_rounds):
         motion, match_score = spanning_tree_motions(level.frames - pattern, level, model, motion, known)
         used, alignment = reject_frames(level, match_score > 1, motion, model)
-        is_worse = used.sum() < selection.used.sum() or has_clearly_lower_misfit(
-            selection.alignment, alignment
-        )
+        is_worse = used.sum() < selection.used.sum() or has_clearly_lower_misfit(selection.alignment, alignment)
         if is_worse and not has_clearly_lower_misfit(alignment, selection.alignment):
             break
         has_grown = bool((used & ~known).any())

@@ -145,9 +145,7 @@ def refine(estimate: MotionEstimate, weight: Tensor, model: str) -> MotionEstima
     levels = final_levels(estimate.preprocessed[kept], weight, estimate.coarse_level.factor)
     motion = align_levels(levels, estimate.motion, model)
     selected = select_by_blocks(frames, weight, motion, model)
-    if selected is not motion and (
-        not has_linear_part(motion, weight) or accept_by_misfit(level, selected, motion)
-    ):
+    if selected is not motion and (not has_linear_part(motion, weight) or accept_by_misfit(level, selected, motion)):
         motion = selected
     if model == "rigid":
         motion = refine_rotation(frames, weight, levels, motion)
@@ -269,8 +267,7 @@ def half_steps_agree(level: Level, motion: Tensor) -> bool:
     half_size = max(level.shape) / 2
     steps = [solve_normal_equations(equations[rows]) for rows in (is_odd, ~is_odd)]
     odd, even = (
-        nonrigid_displacement(level, relative(increment("homography", step, half_size) @ motion))
-        for step in steps
+        nonrigid_displacement(level, relative(increment("homography", step, half_size) @ motion)) for step in steps
     )
     min_correlated = HOMOGRAPHY.min_cosine * float(odd.norm() * even.norm())
     min_power = HOMOGRAPHY.min_rms**2 * odd[:, 0].numel()

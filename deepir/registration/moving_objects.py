@@ -211,9 +211,7 @@ def is_well_explained(estimate: MotionEstimate, weight: Tensor) -> bool:
     if not FIT.good_nll < nll < FIT.poor_nll:
         return nll <= FIT.good_nll
     # The final level: motions of a few px change it, too.
-    level = final_levels(estimate.preprocessed, weight, estimate.coarse_level.factor)[-1].subset(
-        estimate.used
-    )
+    level = final_levels(estimate.preprocessed, weight, estimate.coarse_level.factor)[-1].subset(estimate.used)
     rest = identity(len(estimate.motion))
     return accept_by_misfit(level, estimate.motion, rest, FIT.max_rest_ratio)
 
@@ -336,7 +334,5 @@ def refine_inpainted(
     frames, preprocessed = (inpaint_background(each, mask, weight, motion) for each in (frames, preprocessed))
     level = search_level(preprocessed, weight)
     alignment = Alignment(estimate.motion, *estimate_pattern(level.subset(estimate.used), estimate.motion))
-    inpainted = replace(
-        estimate, frames=frames, preprocessed=preprocessed, coarse_level=level, alignment=alignment
-    )
+    inpainted = replace(estimate, frames=frames, preprocessed=preprocessed, coarse_level=level, alignment=alignment)
     return refine(inpainted, weight, model)

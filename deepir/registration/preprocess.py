@@ -107,9 +107,7 @@ def line_pattern(image: Tensor, axis: int) -> Tensor:
     Returns:
         The offsets, `(1, W)` or `(H, 1)`.
     """
-    moving_average = scipy.ndimage.uniform_filter1d(
-        image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest"
-    )
+    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest")
     return (image - torch.from_numpy(moving_average)).median(axis, keepdim=True).values
 
 
@@ -213,9 +211,7 @@ class Level:
         Block means drop an incomplete last row or column, which shifts the centre of the array.
         """
         f, (height, width) = self.factor, self.shape
-        return torch.tensor(
-            [[f, 0, (f - width) / 2], [0, f, (f - height) / 2], [0, 0, 1]], dtype=torch.float64
-        )
+        return torch.tensor([[f, 0, (f - width) / 2], [0, f, (f - height) / 2], [0, 0, 1]], dtype=torch.float64)
 
     @cached_property
     def px_to_index(self) -> Tensor:

@@ -79,9 +79,7 @@ def register(
     preprocessed, weight = preprocess(frames, None if ignore is None else ignore.cpu())
     n = len(frames)
     excluded = {
-        k: "is the same as the one before it"
-        if earlier == k - 1
-        else f"is the same as frame {start + earlier}"
+        k: "is the same as the one before it" if earlier == k - 1 else f"is the same as frame {start + earlier}"
         for k, earlier in repeated_frames(frames).items()
     }
     if n > SHUTTER.min_scene_frames:
@@ -147,9 +145,7 @@ def estimate_burst(
     return motions, confidence
 
 
-def make_registration(
-    motion: Tensor, confidence: Tensor, start: int, excluded: Mapping[int, str]
-) -> Registration:
+def make_registration(motion: Tensor, confidence: Tensor, start: int, excluded: Mapping[int, str]) -> Registration:
     """Leave out frames of low confidence, make motions relative to the first frame used, and write messages.
 
     Args:
@@ -204,6 +200,4 @@ def check_arguments(frames: Tensor, model: str, ignore: Tensor | None) -> None:
     if model not in (known := [*PARAMETERS, AUTO]):
         raise DataError(f"motion model '{model}' is not known; {nearest(model, known)}")
     if ignore is not None and ignore.shape != frames.shape[1:]:
-        raise DataError(
-            f"the bad-pixel mask is {tuple(ignore.shape)}, the frames are {tuple(frames.shape[1:])}"
-        )
+        raise DataError(f"the bad-pixel mask is {tuple(ignore.shape)}, the frames are {tuple(frames.shape[1:])}")

@@ -39,9 +39,7 @@ class PeakCriteria:
 PEAK = PeakCriteria()
 
 
-def correlation_search(
-    images: Tensor, level: Level, model: str, pattern_present: bool
-) -> tuple[Tensor, Tensor]:
+def correlation_search(images: Tensor, level: Level, model: str, pattern_present: bool) -> tuple[Tensor, Tensor]:
     """Register all images to the one that most of them match, the first of these.
 
     Args:
@@ -307,9 +305,7 @@ def integer_shifts(frames: Tensor) -> np.ndarray:
     return shifts[1:].astype(float)
 
 
-def first_harmonic(
-    likelihood: ShiftLikelihood, k: int, other_frames: np.ndarray, all_shifts: np.ndarray
-) -> np.ndarray:
+def first_harmonic(likelihood: ShiftLikelihood, k: int, other_frames: np.ndarray, all_shifts: np.ndarray) -> np.ndarray:
     """First harmonic, in the phase of each wave, of the pairwise negative log-likelihood of frame k and other frames.
 
     The covariance of two frames has the determinant `p - q cos(k d)`. Its logarithm and its inverse are series in

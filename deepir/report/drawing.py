@@ -216,9 +216,7 @@ def map_height(shape: tuple[int, ...], width: int, beside: int = SCALE) -> int:
     return TITLE_HEIGHT + MARGIN + round((width - beside - 2 * MARGIN) * shape[0] / shape[1])
 
 
-def draw_map(
-    image: Array, title: str, palette: str, size: tuple[int, int], centre: float | None = None
-) -> Image.Image:
+def draw_map(image: Array, title: str, palette: str, size: tuple[int, int], centre: float | None = None) -> Image.Image:
     """A map (h, w) in a picture of `size` (width, height), px; its scale is symmetric about a given centre.
 
     Standard deviations that differ much have a logarithmic scale; what is not finite has a colour of its own.
@@ -249,9 +247,7 @@ def draw_colours(colours: Array, title: str, size: tuple[int, int]) -> Image.Ima
     return _placed(colours, title, size)[0]
 
 
-def _placed(
-    colours: Array, title: str, size: tuple[int, int], beside: int = 0
-) -> tuple[Image.Image, int, int]:
+def _placed(colours: Array, title: str, size: tuple[int, int], beside: int = 0) -> tuple[Image.Image, int, int]:
     """Colours with a title, and `beside` px free at their right: the picture, where these begin, the map's height."""
     room = size[0] - beside - 2 * MARGIN, size[1] - TITLE_HEIGHT - MARGIN
     scale = min(room[0] / colours.shape[1], room[1] / colours.shape[0])

@@ -79,9 +79,7 @@ def _digest(text: str) -> str:
 
 def json_for_html(data: Mapping[str, Any]) -> str:
     """JSON that cannot end the element it stands in: no `<`; control characters but new lines are escaped."""
-    return json.dumps(_visible(to_json_types(data)), allow_nan=False, separators=(",", ":")).replace(
-        "<", "\\u003c"
-    )
+    return json.dumps(_visible(to_json_types(data)), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _visible(value: Any) -> Any:
@@ -297,9 +295,7 @@ def _figures(result: Result) -> list[tuple[str, str]]:
         "seconds": ("time", "{:.1f} s"),
     }
     used = f"{int(result.frames_used.sum())} of {len(result.frames_used)}"
-    known = [
-        (name, form.format(found[key])) for key, (name, form) in shown.items() if _number(found.get(key))
-    ]
+    known = [(name, form.format(found[key])) for key, (name, form) in shown.items() if _number(found.get(key))]
     return [*known, ("frames used", used)]
 
 

@@ -108,9 +108,7 @@ def write_summary(path: Path, result: Result, example: Array) -> None:
     else:
         above.append(draw_map(scene, "scene, inferno", "inferno", size))
     below = [
-        draw_map(
-            montage(result.gain), f"gain, std {100 * result.gain.std():.1f} %", SIGNED, size, centre=1.0
-        ),
+        draw_map(montage(result.gain), f"gain, std {100 * result.gain.std():.1f} %", SIGNED, size, centre=1.0),
         draw_map(montage(result.offset), f"offset, std {result.offset.std():.3g}", SIGNED, size, centre=0.0),
     ]
     if result.history:

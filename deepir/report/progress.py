@@ -66,9 +66,7 @@ class ProgressBar:
             self.last, error = now, progress.held_out()
             self.held_out = f"  held-out {error:.4g}" if math.isfinite(error) else ""
         what = f"{progress.iteration}/{progress.iterations}  loss {progress.loss:.6g}{self.held_out}"
-        self.bar.update(
-            self.task, description=printable(progress.stage), total=1.0, completed=progress.done, what=what
-        )
+        self.bar.update(self.task, description=printable(progress.stage), total=1.0, completed=progress.done, what=what)
 
 
 def _bar(column: Any) -> RichProgress:

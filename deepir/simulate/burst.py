@@ -187,9 +187,7 @@ def render_own_scenes(
         scenes = [partial(procedural, int(seed)) for seed in seeds]
     scenes = list(scenes) if isinstance(scenes, Sequence) else [scenes]
     if len(scenes) < settings.n_frames:
-        raise DataError(
-            f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own"
-        )
+        raise DataError(f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own")
     still = np.eye(3)[None]
     reach = visible_reach(still, settings)
     frames, fine, scales = [], [], []

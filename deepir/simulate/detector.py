@@ -28,9 +28,7 @@ NOISY_PIXEL_EXCESS = 99.0  # additional variance of a noisy pixel, in variances 
 Camera = Settings | RecordingSettings
 
 
-def bolometer_pixels(
-    settings: Settings, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def bolometer_pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Gain, offset and relative time constants of the pixels.
 
     `g = I α β R / G`, `o = -g Φ_fpa`, `τ = C / G`; the readout subtracts the mean pixel's offset.

@@ -79,14 +79,10 @@ def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Sett
         height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
         scene = scene((int(height), int(width)))
     if isinstance(scene, list | tuple):
-        raise DataError(
-            f"scene: {len(scene)} pictures; for a frame of each, set simulate.own_scenes (own_scenes=true)"
-        )
+        raise DataError(f"scene: {len(scene)} pictures; for a frame of each, set simulate.own_scenes (own_scenes=true)")
     picture = np.asarray(scene, float)
     if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
-        raise DataError(
-            f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}"
-        )
+        raise DataError(f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}")
     return picture
 
 
@@ -169,19 +165,14 @@ def psf(settings: Settings) -> np.ndarray:
     point[side // 2, side // 2] = 1
     for each in _kernels(settings, PSF_SAMPLES_PER_PIXEL):
         point = signal.fftconvolve(point, each, mode="same")
-    found: np.ndarray = ndimage.gaussian_filter(
-        point, settings.psf_sigma * PSF_SAMPLES_PER_PIXEL, mode="constant"
-    )
+    found: np.ndarray = ndimage.gaussian_filter(point, settings.psf_sigma * PSF_SAMPLES_PER_PIXEL, mode="constant")
     return found.clip(min=0) / found.clip(min=0).sum()
 
 
 def blur_radius(settings: Settings) -> float:
     """Radius of the optics' blur, detector px."""
     return (
-        3 * settings.psf_sigma
-        + AIRY_RINGS * settings.airy_radius
-        + settings.defocus_radius
-        + settings.motion_blur / 2
+        3 * settings.psf_sigma + AIRY_RINGS * settings.airy_radius + settings.defocus_radius + settings.motion_blur / 2
     )
 
 
@@ -246,9 +237,7 @@ def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
             "simulate.parallax: a camera that does not shift sees none; raise simulate.max_shift, or take 0"
         )
     places = rng.uniform(-0.5, 0.5, (HILL_COUNT, 2)) * (width, height)
-    hills = np.column_stack(
-        (places, side * rng.uniform(*HILL_WIDTHS, HILL_COUNT), rng.uniform(0.5, 1, HILL_COUNT))
-    )
+    hills = np.column_stack((places, side * rng.uniform(*HILL_WIDTHS, HILL_COUNT), rng.uniform(0.5, 1, HILL_COUNT)))
     y, x = (np.arange(n) - (n - 1) / 2 for n in settings.shape)
     hills[:, 3] /= nearness(hills, x, y[:, None]).max()
     return hills
@@ -256,10 +245,7 @@ def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
 
 def nearness(hills: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Nearness of the scene at points of frame 0: 0 is the farthest, 1 the nearest."""
-    return sum(
-        tall * np.exp(((x - at_x) ** 2 + (y - at_y) ** 2) / (-2 * wide**2))
-        for at_x, at_y, wide, tall in hills
-    )
+    return sum(tall * np.exp(((x - at_x) ** 2 + (y - at_y) ** 2) / (-2 * wide**2)) for at_x, at_y, wide, tall in hills)
 
 
 def parallax(motion: np.ndarray, hills: np.ndarray, settings: Settings) -> np.ndarray:

@@ -105,9 +105,7 @@ def cut_out(seed: int, shape: tuple[int, int], draw: Callable[[Canvas], None], t
     return texture(canvas.image.real, texel, 1 - canvas.image.imag)
 
 
-def homography(
-    surface: Surface, position: np.ndarray, rotation: np.ndarray, time: float
-) -> np.ndarray | None:
+def homography(surface: Surface, position: np.ndarray, rotation: np.ndarray, time: float) -> np.ndarray | None:
     """Homography from rays (x, y, 1) of the camera to points (s, t, 1) of a surface, m, over their depth.
 
     Returns:
@@ -215,15 +213,8 @@ def _mirrored(at: int, side: int) -> int:
 
 
 @njit(inline="always")
-def _weighted(
-    plane: np.ndarray, at: tuple[int, int, int, int], weights: tuple[float, float, float, float]
-) -> float:
-    return (
-        weights[0] * plane[at[0]]
-        + weights[1] * plane[at[1]]
-        + weights[2] * plane[at[2]]
-        + weights[3] * plane[at[3]]
-    )
+def _weighted(plane: np.ndarray, at: tuple[int, int, int, int], weights: tuple[float, float, float, float]) -> float:
+    return weights[0] * plane[at[0]] + weights[1] * plane[at[1]] + weights[2] * plane[at[2]] + weights[3] * plane[at[3]]
 
 
 @njit

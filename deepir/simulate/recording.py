@@ -176,9 +176,7 @@ def drifting_offsets(
     size = settings.contrast * settings.drift * np.sqrt(variance)
 
     offsets = ("offset_pixel", "offset_column", "offset_row", "shading")
-    left = dataclasses.replace(
-        settings, **{key: settings.shutter_residual * getattr(settings, key) for key in offsets}
-    )
+    left = dataclasses.replace(settings, **{key: settings.shutter_residual * getattr(settings, key) for key in offsets})
 
     def after_closure() -> np.ndarray:
         residual = fixed_pattern(left, rng, rng)[1]
@@ -242,18 +240,14 @@ def compress(frames: np.ndarray, settings: RecordingSettings) -> np.ndarray:
     file = io.BytesIO()
     with av.open(file, "w", format="matroska") as film:
         rate = max(1, round(settings.frame_rate))
-        track = film.add_stream(
-            settings.compression if settings.compression != "h264" else "libx264", rate=rate
-        )
+        track = film.add_stream(settings.compression if settings.compression != "h264" else "libx264", rate=rate)
         track.width, track.height, track.pix_fmt = columns, rows, "yuv420p"
         track.bit_rate = int(settings.bits_per_pixel * rows * columns * rate)
         track.codec_context.bit_rate_tolerance = track.bit_rate
         track.codec_context.thread_count = 1
         for frame in padded:
             colours = np.full((rows // 2, columns), 128, np.uint8)
-            film.mux(
-                track.encode(av.VideoFrame.from_ndarray(np.concatenate([frame, colours]), format="yuv420p"))
-            )
+            film.mux(track.encode(av.VideoFrame.from_ndarray(np.concatenate([frame, colours]), format="yuv420p")))
         film.mux(track.encode())
     file.seek(0)
     with av.open(file) as film:

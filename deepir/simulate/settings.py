@@ -141,9 +141,7 @@ class Settings(Sensor):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.n_frames < 1 or min(self.shape) < 8:
-            raise ConfigError(
-                "simulate: at least one frame (n_frames) of at least 8 x 8 px (shape) is needed"
-            )
+            raise ConfigError("simulate: at least one frame (n_frames) of at least 8 x 8 px (shape) is needed")
         if not 1 <= self.factor <= 8:
             raise ConfigError(f"simulate.factor = {self.factor}: a whole number from 1 to 8 is needed")
         if self.scale is not None and self.scale < self.least_scale:
@@ -218,13 +216,9 @@ class RecordingSettings(Sensor):
                 "recording: frame_rate and contrast must be positive, and substeps a whole number from 1 to 100"
             )
         if not 5 <= self.field_of_view <= 100:
-            raise ConfigError(
-                f"recording.field_of_view = {self.field_of_view:g}: 5 to 100 degrees are simulated"
-            )
+            raise ConfigError(f"recording.field_of_view = {self.field_of_view:g}: 5 to 100 degrees are simulated")
         if self.substeps > 1 and not self.tau_ms:
-            raise ConfigError(
-                "recording.substeps: only pixels that lag need more than one; set recording.tau_ms"
-            )
+            raise ConfigError("recording.substeps: only pixels that lag need more than one; set recording.tau_ms")
         if self.compression != "none" and not (self.agc and self.bits_per_pixel > 0):
             raise ConfigError(
                 f"recording.compression: {self.compression} takes 8 bits at a bit rate; set recording.agc to true "

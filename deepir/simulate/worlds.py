@@ -66,8 +66,7 @@ def _surrounded(
     texel = 1 / (BACKDROP_RESOLUTION * settings.focal)
     wide = 2 * (reach + np.deg2rad(settings.field_of_view))
     rows, columns = (
-        BACKDROP_SIDE_MULTIPLE * int(np.ceil(side / texel / BACKDROP_SIDE_MULTIPLE))
-        for side in (_tall(settings), wide)
+        BACKDROP_SIDE_MULTIPLE * int(np.ceil(side / texel / BACKDROP_SIDE_MULTIPLE)) for side in (_tall(settings), wide)
     )
     if street:
         c = Canvas(seed, (rows, columns))
@@ -86,9 +85,7 @@ def _tall(settings: RecordingSettings) -> float:
     return BACKDROP_HEIGHT_RATIO * settings.shape[0] / settings.focal
 
 
-def _ground(
-    picture: Texture, corner: tuple[float, float, float], size: tuple[float, float], layer: int = 0
-) -> Surface:
+def _ground(picture: Texture, corner: tuple[float, float, float], size: tuple[float, float], layer: int = 0) -> Surface:
     """A horizontal surface; x of its texture is the world's, y runs ahead."""
     return Surface((picture,), np.array(corner), RIGHT, AHEAD, size, layer=layer)
 
@@ -107,9 +104,7 @@ def _street(settings: RecordingSettings, seed: int, rng: np.random.Generator) ->
             corner = np.array([side * far, -HOUSE_ROW_HEIGHT - low, -20.0 - 13 * k - 31 * (side > 0)])
             size = (length + 300, HOUSE_ROW_HEIGHT)
             found.append(Surface((front,), corner, AHEAD, DOWN, size, layer=k + 1))
-    crowns = [
-        cut_out(seed + k, (256, 256), lambda c: tree(c, 0.5, 1.0, 0.98, 0.34), 6 / 256) for k in range(3)
-    ]
+    crowns = [cut_out(seed + k, (256, 256), lambda c: tree(c, 0.5, 1.0, 0.98, 0.34), 6 / 256) for k in range(3)]
     for k, z in enumerate(np.arange(8, length + 150, TREE_SPACING)):
         x = (-1) ** k * (PAVEMENT_CENTRE + 1.4) + rng.uniform(-0.3, 0.3)
         corner = np.array([x - 3, -6.0, z + rng.uniform(-2, 2)])
@@ -268,11 +263,7 @@ def cars_below(settings: RecordingSettings, rng: np.random.Generator, road: floa
     for k in range(settings.objects):
         way = (-1) ** k
         meets = settings.duration * (k + rng.uniform(0, 1)) / settings.objects
-        z = (
-            18.0 + HALF_CAR_SPACING * k
-            if way > 0
-            else (CAMERA_SPEEDS["drone"] + ONCOMING_SPEED) * meets + 22.0
-        )
+        z = 18.0 + HALF_CAR_SPACING * k if way > 0 else (CAMERA_SPEEDS["drone"] + ONCOMING_SPEED) * meets + 22.0
         side = texture(np.full((32, 32), 0.5), CAR_SIZE[1] / 32)
         found += box((road + 1.75 * way, z), CAR_SIZE, _roof(way), side, way * ONCOMING_SPEED * AHEAD)
     return found

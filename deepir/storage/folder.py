@@ -271,9 +271,7 @@ class RunFolder:
                 part.write_text(CONFIG_HEADER + config, encoding="utf-8")
             folder.write_record(record)
         except OSError as error:
-            raise ConfigError(
-                f"output.dir: {folder.path} cannot be written: {error.strerror or error}"
-            ) from None
+            raise ConfigError(f"output.dir: {folder.path} cannot be written: {error.strerror or error}") from None
         except DeepIRError:
             folder.clear()
             raise

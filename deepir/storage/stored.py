@@ -66,8 +66,7 @@ class FileCheckpoint:
         part = self.path.with_suffix(".part")
         # Also of one element: where that was expanded, its stride may be zero.
         contiguous = {
-            name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format)
-            for name, tensor in tensors.items()
+            name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in tensors.items()
         }
         about = {"position": json.dumps(position), "run": self.run}
         try:
@@ -187,9 +186,7 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
         return result
 
 
-def _continued(
-    folder: RunFolder, lock: Lock, path: Path, plugins: Sequence[str], callbacks: Callbacks
-) -> _Work:
+def _continued(folder: RunFolder, lock: Lock, path: Path, plugins: Sequence[str], callbacks: Callbacks) -> _Work:
     """The rest of an interrupted run in `folder`, which the user calls `path`."""
     config, record = read(folder.config), folder.record()
     if missing := [each for each in record.plugins if each not in plugins]:
@@ -309,11 +306,7 @@ def pin_config(config: Config, folder: RunFolder) -> Config:
 
     method = config.method
     if isinstance(method, dict):
-        files = {
-            k: absolute(v)
-            for k, v in method.items()
-            if k != "type" and isinstance(v, str) and Path(v).exists()
-        }
+        files = {k: absolute(v) for k, v in method.items() if k != "type" and isinstance(v, str) and Path(v).exists()}
         method = method | files
 
     def pinned(data: Data) -> Data:

@@ -147,9 +147,7 @@ class Cell:
         state = self.folder.state()
         if state == "new":
             return state
-        then, now = (
-            dict(_leaves(each.model_dump())) for each in (read(self.folder.active.config), self.config)
-        )
+        then, now = (dict(_leaves(each.model_dump())) for each in (read(self.folder.active.config), self.config))
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
                 raise ConfigError(
@@ -159,9 +157,7 @@ class Cell:
         return state
 
 
-def make_cells(
-    name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int
-) -> list[Cell]:
+def make_cells(name: str, settings: Sequence[str], axes: Sequence[Axis], base: Path, threads: int) -> list[Cell]:
     """The product of the axes' choices.
 
     Args:
@@ -183,20 +179,13 @@ def make_cells(
     most = max((c.data.frames for _, c in found if isinstance(c.data.frames, int)), default=None)
     names = Counter(folder_name(values) for values, _ in found)
     if clash := next((each for each, count in names.items() if count > 1), None):
-        raise ConfigError(
-            f"{clash}: two cells would have this folder; give values that differ in letters or digits"
-        )
-    return [
-        _cell(values, _one_burst(config, most), base / folder_name(values), threads)
-        for values, config in found
-    ]
+        raise ConfigError(f"{clash}: two cells would have this folder; give values that differ in letters or digits")
+    return [_cell(values, _one_burst(config, most), base / folder_name(values), threads) for values, config in found]
 
 
 def _cell(values: Mapping[str, str], config: Config, path: Path, threads: int) -> Cell:
     folder = RunFolder(expanded(path).absolute())
-    return Cell(
-        values, pin_config(config.model_copy(update={"threads": config.threads or threads}), folder), folder
-    )
+    return Cell(values, pin_config(config.model_copy(update={"threads": config.threads or threads}), folder), folder)
 
 
 def _one_burst(config: Config, most: int | None) -> Config:
@@ -260,9 +249,7 @@ def check_inputs(found: Sequence[Cell]) -> None:
     for cell in found:
         if cell.state() == "finished":
             data = cell.config.sources().values()
-            now = input_digests(
-                cell.config, ["" if each.path is None else digest(each.path) for each in data]
-            )
+            now = input_digests(cell.config, ["" if each.path is None else digest(each.path) for each in data])
             check_unchanged(cell.folder.record().inputs, now, cell.folder.path)
 
 

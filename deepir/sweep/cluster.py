@@ -80,9 +80,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Client]:
             try:
                 client = Client(scheduler, timeout=SCHEDULER_TIMEOUT)
             except (OSError, ValueError) as error:
-                raise ConfigError(
-                    f"--scheduler {scheduler}: no Dask scheduler answers there ({error})"
-                ) from None
+                raise ConfigError(f"--scheduler {scheduler}: no Dask scheduler answers there ({error})") from None
             with client:
                 yield client
             return

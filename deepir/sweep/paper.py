@@ -114,16 +114,10 @@ def panels(cells: Sequence[Cell]) -> list[list[Image.Image]]:
     names = ["truth", *(_name(cell) for cell in chosen)]
     shown = [truth, *scenes]
     return [
-        [
-            draw_map(np.clip(each, low, high), name, WHITE_HOT, PICTURE)
-            for each, name in zip(shown, names, strict=True)
-        ],
+        [draw_map(np.clip(each, low, high), name, WHITE_HOT, PICTURE) for each, name in zip(shown, names, strict=True)],
         [
             Image.new("RGB", PICTURE, "white"),
-            *(
-                draw_map(np.clip(each, -reach, reach), "error", SIGNED, PICTURE, centre=0.0)
-                for each in errors
-            ),
+            *(draw_map(np.clip(each, -reach, reach), "error", SIGNED, PICTURE, centre=0.0) for each in errors),
         ],
     ]
 

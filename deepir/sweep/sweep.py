@@ -31,17 +31,13 @@ class Sweep:
         """Cells that are not finished."""
         return [cell for cell in self.cells if cell.state() != "finished"]
 
-    def run(
-        self, report: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]
-    ) -> None:
+    def run(self, report: Callable[[Cell, str | None], None], scheduler: str | None, plugins: Sequence[str]) -> None:
         """Finish all cells; `report` is called with each as it ends."""
         from deepir.sweep import cluster
 
         if cells := self.unfinished():
             workers = min(self.workers, len(cells))
-            for cell, error in cluster.run_cells(
-                cells, workers=workers, scheduler=scheduler, plugins=plugins
-            ):
+            for cell, error in cluster.run_cells(cells, workers=workers, scheduler=scheduler, plugins=plugins):
                 if error is not None:
                     self.errors[cell.name] = error
                 report(cell, error)
@@ -91,17 +87,13 @@ def prepare(
     from deepir.sweep import cluster
 
     if any(axis.key.partition(".")[0] == "output" for axis in axes):
-        raise ConfigError(
-            "output.dir: the results of all cells go into one folder, each into its own within it"
-        )
+        raise ConfigError("output.dir: the results of all cells go into one folder, each into its own within it")
     if not axes:
         raise ConfigError("nothing varies: list values with commas, for example prior=tv,dip seed=0,1,2")
     first = load(name, [*settings, *(each for axis in axes for each in next(iter(axis.choices.values())))])
     base = expanded(first.output.dir or folder).absolute()
     cores = cluster.core_count()
-    count = workers or min(
-        math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1))
-    )
+    count = workers or min(math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1)))
     found = make_cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
     with locked_folder(base):
         remove_temporaries(base, SWEEP_FILES)

@@ -241,9 +241,7 @@ def write_csv(path: Path, found: Sequence[Row]) -> None:
         if isinstance(value, int | float | str) and name not in row.values
     }
     stream = io.StringIO()
-    writer = csv.DictWriter(
-        stream, [*found[0].values, *names, "error"], extrasaction="ignore", lineterminator="\n"
-    )
+    writer = csv.DictWriter(stream, [*found[0].values, *names, "error"], extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
     for row in found:
         cells = {**row.metrics, **row.values, "error": row.error}

@@ -68,11 +68,7 @@ class FieldsOfExperts(Training):
         super().__init__(rng)
         self.noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
         photographs = [load_picture(name) for name in FOE_PHOTOGRAPHS]
-        drawn = [
-            draw(FIRST_SCENE_SEED + i, SCENE_SHAPE)
-            for draw, count in DRAWN_COUNTS.items()
-            for i in range(count)
-        ]
+        drawn = [draw(FIRST_SCENE_SEED + i, SCENE_SHAPE) for draw, count in DRAWN_COUNTS.items() for i in range(count)]
         self.scenes = [torch.from_numpy(each).float() for each in 4 * photographs + drawn]
 
     def network(self) -> nn.Module:
@@ -87,9 +83,7 @@ class FieldsOfExperts(Training):
             filters, costs, tails = network()
 
             def objective(scene: Tensor) -> Tensor:
-                return bursts.misfit(scene) + foe_energy(
-                    scene, share, filters, costs, tails, PENALTY_SMOOTHING
-                )
+                return bursts.misfit(scene) + foe_energy(scene, share, filters, costs, tails, PENALTY_SMOOTHING)
 
             scene = _minimum(objective, scene, LBFGS_ITERATIONS).requires_grad_()
             inside = slice(SCENE_MARGIN, -SCENE_MARGIN)
@@ -102,9 +96,7 @@ class FieldsOfExperts(Training):
 
     def _bursts(self) -> Bursts:
         count = int(self.rng.choice(BURST_LENGTHS))
-        frames, truth, rows, columns = zip(
-            *(self._burst(count) for _ in range(BURSTS_PER_ITERATION)), strict=True
-        )
+        frames, truth, rows, columns = zip(*(self._burst(count) for _ in range(BURSTS_PER_ITERATION)), strict=True)
         return Bursts(*(torch.stack(each) for each in (frames, truth, rows, columns)))
 
     def _burst(self, count: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -55,8 +55,7 @@ class DestripeCNN(Training):
         clean = self.pictures.crops(BATCH_SIZE, 64)
         height, width = clean.shape[2:]
         gain, offset = (
-            self.log_uniform(each) * self.normal(1, width)
-            for each in (COLUMN_GAIN_RANGE, COLUMN_OFFSET_RANGE)
+            self.log_uniform(each) * self.normal(1, width) for each in (COLUMN_GAIN_RANGE, COLUMN_OFFSET_RANGE)
         )
         stripes = gain * clean + offset
         target = clean + self.log_uniform(STRIPED_NOISE_RANGE) * self.normal(height, width)

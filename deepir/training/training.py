@@ -77,8 +77,7 @@ def _photographs(names: Sequence[str]) -> list[np.ndarray]:
         whole = np.atleast_3d(getattr(skimage.data, name)()).astype(np.float32) / 255
         for colour in np.moveaxis(whole, -1, 0):
             found += [
-                downscale_local_mean(colour, (times, times)).astype(np.float32)
-                for times in PHOTOGRAPH_REDUCTIONS
+                downscale_local_mean(colour, (times, times)).astype(np.float32) for times in PHOTOGRAPH_REDUCTIONS
             ]
     return found
 

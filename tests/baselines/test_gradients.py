@@ -79,9 +79,7 @@ def scene():
     frame = np.full((96, 128), 100.0)
     for _ in range(6):
         top, left = rng.integers(0, 70), rng.integers(0, 100)
-        frame[top : top + rng.integers(10, 40), left : left + rng.integers(10, 40)] += (
-            30 * rng.standard_normal()
-        )
+        frame[top : top + rng.integers(10, 40), left : left + rng.integers(10, 40)] += 30 * rng.standard_normal()
     return frame
 
 
@@ -105,8 +103,7 @@ def test_a_quadratic_bias_of_plain_parts_is_found(scene, quadratic, exponent):
 
 def test_least_squares_take_edges_for_bias(scene, quadratic):
     sparse, square = (
-        (estimate_bias(scene + quadratic + noise(scene), exponent=each) - quadratic).std()
-        for each in (1.0, 2.0)
+        (estimate_bias(scene + quadratic + noise(scene), exponent=each) - quadratic).std() for each in (1.0, 2.0)
     )
     assert square > 5 * sparse
 
@@ -140,8 +137,6 @@ def test_small_frames_are_no_error():
 def test_a_bias_that_is_added_to_a_burst_is_added_to_its_offset(quadratic):
     settings = Settings(n_frames=4, shape=(96, 128), counts=True, max_shift=5.0, dead_pixels=0.0)
     frames = simulate(load_picture("camera"), settings, seed=4).frames
-    before, after = (
-        deepir.run("nuc", "method=low_order_bias", frames=each) for each in (frames, frames + quadratic)
-    )
+    before, after = (deepir.run("nuc", "method=low_order_bias", frames=each) for each in (frames, frames + quadratic))
     assert (after.offset - before.offset - quadratic).std() < 0.02 * quadratic.std()
     assert np.array_equal(after.gain, np.ones_like(after.gain))

@@ -24,11 +24,7 @@ def model(seed=0, size=5, n=4):
     def normal(*shape):
         return torch.randn(*shape, generator=g, dtype=torch.float64)
 
-    data = (
-        (1 + 0.1 * normal(size, size)) * look(scene)
-        + 0.3 * normal(size, size)
-        + 0.1 * normal(n, 1, size, size)
-    )
+    data = (1 + 0.1 * normal(size, size)) * look(scene) + 0.3 * normal(size, size) + 0.1 * normal(n, 1, size, size)
     return Model(
         forward=look,
         adjoint=lambda y: (matrix.T @ y.reshape(-1)).reshape(1, 1, size, size),
@@ -70,14 +66,10 @@ def test_roughness_is_the_transpose_after_the_difference():
     a, b = torch.rand(2, 1, 1, 7, 8, dtype=torch.float64)
     assert torch.allclose((high_pass(a) * high_pass(b)).sum(), (a * high_pass_normal(b)).sum())
     y, x = torch.meshgrid(torch.arange(7.0), torch.arange(8.0), indexing="ij")
-    assert torch.allclose(
-        high_pass((2 * x + 3 * y).double()[None, None]), torch.zeros(1).double(), atol=1e-12
-    )
+    assert torch.allclose(high_pass((2 * x + 3 * y).double()[None, None]), torch.zeros(1).double(), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("name", "sigma"), [("offset", {"offset_pixel": 0.05}), ("gain", {"gain_pixel": 0.1})]
-)
+@pytest.mark.parametrize(("name", "sigma"), [("offset", {"offset_pixel": 0.05}), ("gain", {"gain_pixel": 0.1})])
 def test_gain_and_bias_are_found(name, sigma):
     # Offsets alone, then gains alone: the strengths tell which it is.
     sim = simulate(None, clean(n_frames=8, shape=(32, 40), psf_sigma=0.5, read_noise=0.003, **sigma), seed=1)

@@ -101,9 +101,7 @@ def test_the_scene_along_the_motion_is_that_of_each_frame():
 
 
 def test_many_frames_give_the_offset_back():
-    camera = Settings(
-        n_frames=24, shape=(48, 64), gain_pixel=0.0, gain_column=0.0, shading=0.0, dead_pixels=0.0
-    )
+    camera = Settings(n_frames=24, shape=(48, 64), gain_pixel=0.0, gain_column=0.0, shading=0.0, dead_pixels=0.0)
     sim = simulate(None, camera, seed=1)
     result = deepir.run("nuc", frames=sim.frames, method="hardie2000")
     assert np.corrcoef(result.offset.ravel(), sim.truth.offset.ravel())[0, 1] > 0.9

@@ -14,9 +14,7 @@ from deepir.registry import components
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture
 
-RIVALS = [
-    name for name, each in components("method").items() if each.__module__.startswith("deepir.baselines")
-]
+RIVALS = [name for name, each in components("method").items() if each.__module__.startswith("deepir.baselines")]
 #: Options without which a method does not run: arrays that are saved, and named.
 GIVEN = {"flat_field": {"shutter": lambda sim: 300 + sim.truth.offset[None]}}
 

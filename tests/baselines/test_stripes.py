@@ -63,9 +63,7 @@ def columns(deviation, seed=0):
 
 def test_offsets_of_columns_go_away():
     striped = scene() + columns(0.2)
-    before, after = (
-        scores(each, scene())["psnr_aligned"] for each in (striped, equalise_locally(striped, 32.0))
-    )
+    before, after = (scores(each, scene())["psnr_aligned"] for each in (striped, equalise_locally(striped, 32.0)))
     assert after > before + 7
 
 
@@ -145,9 +143,7 @@ def striped(clean, gain=0.15, offset=0.02):
 @pytest.mark.parametrize("name", ["camera", "moon", "astronaut", "drawing"])
 def test_columns_are_taken_out_of_a_fresh_picture_by_five_decibels_at_least(name):
     clean = procedural(1, (96, 128)) if name == "drawing" else picture(name)
-    before, after = (
-        scores(each, clean)["psnr_aligned"] for each in (striped(clean), destripe_cnn(striped(clean)))
-    )
+    before, after = (scores(each, clean)["psnr_aligned"] for each in (striped(clean), destripe_cnn(striped(clean))))
     assert after > before + 5
 
 
@@ -170,9 +166,7 @@ def test_the_level_stays():
 
 @pytest.mark.parametrize("network", [destripe_cnn, sharpen])
 @settings(max_examples=5, deadline=None)
-@given(
-    gain=st.floats(1e-2, 1e4), level=st.floats(-10, 10), height=st.integers(9, 40), width=st.integers(9, 40)
-)
+@given(gain=st.floats(1e-2, 1e4), level=st.floats(-10, 10), height=st.integers(9, 40), width=st.integers(9, 40))
 def test_units_and_size_are_free(network, gain, level, height, width):
     frame = np.random.default_rng(height).random((height, width))
     assert np.allclose(network(gain * (frame + level)) / gain - level, network(frame), atol=1e-4)

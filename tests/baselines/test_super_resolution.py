@@ -23,9 +23,7 @@ def shifted(picture, factor, shifts):
 def test_samples_on_the_fine_grid_give_the_picture_back():
     picture = np.random.default_rng(0).random((16, 20))
     frames, motion = shifted(picture, 2, [(0, 0), (0, 1), (1, 0), (1, 1)])
-    assert np.allclose(
-        shift_and_add(frames, np.ones(frames.shape, bool), motion, (16, 20)), picture, atol=1e-6
-    )
+    assert np.allclose(shift_and_add(frames, np.ones(frames.shape, bool), motion, (16, 20)), picture, atol=1e-6)
 
 
 def test_holes_take_what_is_about_them():

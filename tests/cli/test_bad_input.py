@@ -187,9 +187,7 @@ def test_setting(setting, refused, folder):
 def test_a_device_that_is_absent(refused):
     if torch.cuda.is_available():
         pytest.skip("there is a GPU here")
-    refused(
-        (*RUN, "data.path=burst.npz", "device=cuda"), "device: 'cuda' cannot be used here", "there is cpu"
-    )
+    refused((*RUN, "data.path=burst.npz", "device=cuda"), "device: 'cuda' cannot be used here", "there is cpu")
 
 
 YAML = {
@@ -286,9 +284,7 @@ COMMANDS = {
     "compare nuc data.path=burst.npz data.frames=3,9": ["data.frames=9", "does not fit its 3 frames"],
     "compare nuc data.path=burst.npz prior=tv,tv": ["prior=tv,tv: nothing varies, tv is listed 2 times"],
     "compare nuc data.path=burst.npz prior=tv,red data.crop=[0,999,0,9]": ["error: data.crop: "],
-    "compare nuc data.path=burst.npz prior=tv,red fidelity=l3": [
-        "error: fidelity: no fidelity is called 'l3'"
-    ],
+    "compare nuc data.path=burst.npz prior=tv,red fidelity=l3": ["error: fidelity: no fidelity is called 'l3'"],
     "compare nuc data.path=burst.npz output.dir=a,b": ["output.dir", "one folder"],
     "compare nuc seed=0,1": ["data.path is missing"],
     "compare nuc --seed 0,1": ["No such option: --seed", "seed=..."],

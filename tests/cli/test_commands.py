@@ -121,9 +121,7 @@ def test_check_and_analyze_name_torn_frames_and_what_is_drawn(deepir, folder, bu
     frames[:, 4:8, 4:16] = 9000
     np.savez("torn.npz", frames=frames)
     said = deepir("check", "torn.npz")[1]
-    torn = (
-        "torn frame(s), of two times above and below a row: 1 (at row 24); leave them out: data.frames=[0, 2]"
-    )
+    torn = "torn frame(s), of two times above and below a row: 1 (at row 24); leave them out: data.frames=[0, 2]"
     drawn = "48 pixel(s) between rows 4 and 7, columns 4 and 15 hold one value in all frames"
     assert torn in said
     assert drawn in said
@@ -163,9 +161,7 @@ def test_check_sees_a_former_run(deepir, nuc):
 
 
 def test_simulate_writes_a_burst_and_its_truth(deepir, folder):
-    status, out, _ = deepir(
-        "simulate", "new.npz", "n_frames=4", "shape=[32,48]", "counts=true", "--seed", "2"
-    )
+    status, out, _ = deepir("simulate", "new.npz", "n_frames=4", "shape=[32,48]", "counts=true", "--seed", "2")
     assert status == 0
     assert "new_truth.npz" in out
     stored = np.load("new.npz")

@@ -201,9 +201,7 @@ def test_a_worker_that_is_killed_is_replaced_and_its_run_goes_on(deepir, folder)
 def test_a_cluster_that_runs_already_is_used(deepir, folder):
     from distributed import LocalCluster
 
-    with LocalCluster(
-        1, processes=False, threads_per_worker=2, protocol="tcp", dashboard_address=None
-    ) as cluster:
+    with LocalCluster(1, processes=False, threads_per_worker=2, protocol="tcp", dashboard_address=None) as cluster:
         status, _, err = deepir(*COMPARE, "seed=0,1", "--scheduler", cluster.scheduler_address)
     assert status == 0, err
     assert len(table(folder / "runs/nuc-compare")) == 2
@@ -218,9 +216,7 @@ def test_a_scheduler_that_does_not_answer(deepir, folder, monkeypatch):
 
 @pytest.mark.slow
 def test_ctrl_c_in_a_terminal_ends_the_workers_too(deepir, folder):
-    program = (
-        "import sys; from deepir.cli import main\nif __name__ == '__main__': sys.exit(main(sys.argv[1:]))\n"
-    )
+    program = "import sys; from deepir.cli import main\nif __name__ == '__main__': sys.exit(main(sys.argv[1:]))\n"
     Path("program.py").write_text(program)
     given = ["compare", "nuc", SMALL.replace("40, 48", "160, 192"), "seed=0,1,2,3", "--workers=2"]
     command = [sys.executable, "program.py", *given]

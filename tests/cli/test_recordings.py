@@ -45,9 +45,7 @@ def test_the_warnings_of_a_run_are_repeated_where_its_maps_are_applied(deepir, f
     deepir("run", "nuc", "data.path=burst.npz", "solver.max_iterations=1", "method=average")
     metrics = folder / "runs/nuc/metrics.json"
     metrics.write_text(
-        json.dumps(
-            json.loads(metrics.read_text()) | {"messages": ["warning[motion-small]: the frames hardly move"]}
-        )
+        json.dumps(json.loads(metrics.read_text()) | {"messages": ["warning[motion-small]: the frames hardly move"]})
     )
     status, _, err = deepir("apply", "runs/nuc", "burst.npz", "--output", "a.tif")
     assert status == 0
@@ -57,9 +55,7 @@ def test_the_warnings_of_a_run_are_repeated_where_its_maps_are_applied(deepir, f
 def test_the_folder_of_a_run_has_maps(deepir, folder, burst):
     assert deepir("run", "nuc", "data.path=burst.npz", "solver.max_iterations=5")[0] == 0
     assert deepir("apply", "runs/nuc", "burst.npz", "--output", "a.tif")[0] == 0
-    before, after = (
-        np.std(frame - burst.truth.scene) for frame in (burst.frames[0], read_frames("a.tif").frames[0])
-    )
+    before, after = (np.std(frame - burst.truth.scene) for frame in (burst.frames[0], read_frames("a.tif").frames[0]))
     assert after < 0.5 * before
 
 
@@ -96,15 +92,11 @@ def test_a_film_is_written(deepir, folder, maps):
 
 def test_a_file_without_a_header_is_described(deepir, folder, burst):
     (folder / "a.y16").write_bytes(burst.frames.tobytes())
-    status, out, err = deepir(
-        "check", "a.y16", "data.raw={width: 48, height: 40}", "data.radiometry.scale=0.04"
-    )
+    status, out, err = deepir("check", "a.y16", "data.raw={width: 48, height: 40}", "data.radiometry.scale=0.04")
     assert (status, err) == (0, "")
     assert "3 frame(s) of 40 x 48 px (height x width), stored as uint16" in out
     assert "°C by 0.04 K a count" in out
-    assert (
-        "deepir run nuc data.path=a.y16 'data.raw={width: 48, height: 40}' data.radiometry.scale=0.04" in out
-    )
+    assert "deepir run nuc data.path=a.y16 'data.raw={width: 48, height: 40}' data.radiometry.scale=0.04" in out
 
 
 def test_lepton_counts_are_recognised(deepir, folder):

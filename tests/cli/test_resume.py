@@ -77,9 +77,7 @@ def test_twice(deepir, resumed, signalled):
 
 def test_a_signal_while_registering_ends_the_run_at_once(deepir, resumed, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(
-            "deepir.pipeline.register.register", lambda *a, **k: os.kill(os.getpid(), signal.SIGINT)
-        )
+        patch.setattr("deepir.pipeline.register.register", lambda *a, **k: os.kill(os.getpid(), signal.SIGINT))
         status, _, err = deepir(*RUN)
     assert status == 130
     assert "before the first checkpoint" in err
@@ -167,9 +165,7 @@ def test_a_checkpoint_of_another_run_is_reported_and_the_run_starts_again(
     assert "starts again" in err
 
 
-@pytest.mark.parametrize(
-    "field", [{"history": 5}, {"history": [3]}, {"stage": "x"}, {"iteration": 99}, {"more": 1}]
-)
+@pytest.mark.parametrize("field", [{"history": 5}, {"history": [3]}, {"stage": "x"}, {"iteration": 99}, {"more": 1}])
 def test_a_history_of_odd_types_is_one_line(small_nuc, tmp_path, field):
     from deepir.optim.objective import Position, restore_state, save_state
     from deepir.storage.stored import FileCheckpoint

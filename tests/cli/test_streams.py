@@ -31,9 +31,7 @@ def test_work_goes_on_when_the_reader_of_stderr_has_gone(tmp_path):
         "    open('done', 'w').close()"
     )
     command = f'"{sys.executable}" -c "$0" 2>&1 | head -1; exit ${{PIPESTATUS[0]}}'
-    done = subprocess.run(
-        ["bash", "-c", command, program], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(["bash", "-c", command, program], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "deepir: a line\n")
     assert (tmp_path / "done").exists()
 

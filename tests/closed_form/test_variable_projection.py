@@ -87,10 +87,7 @@ def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
     found = []
     for dtype in (torch.float32, torch.float64):
         gains, offsets = (
-            [
-                kind(shape, sigma=unit * sigma)
-                for kind, sigma in zip((Column, Row, Pixel), sigmas, strict=True)
-            ]
+            [kind(shape, sigma=unit * sigma) for kind, sigma in zip((Column, Row, Pixel), sigmas, strict=True)]
             for unit in (1.0, pedestal)
         )
         eliminate(z.to(dtype), y.to(dtype), precision.to(dtype), gains, offsets, neutral=(1.0, 0.0))
@@ -113,16 +110,12 @@ def white_variances(z, y, w, parts):
         (["pixel", "column", "shading"], 50.0, 0.0),
     ],
 )
-def test_variances_of_pixels_or_columns_alone_and_of_shadings_are_those_of_the_dense_inverse(
-    names, pedestal, dead
-):
+def test_variances_of_pixels_or_columns_alone_and_of_shadings_are_those_of_the_dense_inverse(names, pedestal, dead):
     parts = make_parts(names, 1.0), make_parts(names, 50.0)
     z, y, w = burst(pedestal, dead=dead)
     found = [v for each in eliminate(z, y, w, *parts).posterior_variances() for v in each]
     compared = 0
-    for variance, part, white in zip(
-        found, itertools.chain(*parts), white_variances(z, y, w, parts), strict=True
-    ):
+    for variance, part, white in zip(found, itertools.chain(*parts), white_variances(z, y, w, parts), strict=True):
         assert variance.shape == part.whitened.shape
         if len(names) == 1 or isinstance(part, Shading):  # others are approximate beside each other
             wanted = white * part.prior_sigma.numpy().ravel() ** 2
@@ -193,6 +186,4 @@ def test_the_gradient_is_that_of_the_objective_optimised_anew(small_nuc):
                 parameter.add_(sign * step * direction)
                 costs.append(float(objective()))
                 parameter.sub_(sign * step * direction)
-        assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(
-            float((gradient * direction).sum()), rel=1e-4
-        )
+        assert (costs[0] - costs[1]) / (2 * step) == pytest.approx(float((gradient * direction).sum()), rel=1e-4)

@@ -80,9 +80,7 @@ def test_yaml_is_plain(text, value):
 
 
 def test_null_removes_a_key():
-    config = load(
-        "nuc", ["prior=tv", "physics.sensor.gain=null", "scene.penalties.tv=null", "data.mask=null"]
-    )
+    config = load("nuc", ["prior=tv", "physics.sensor.gain=null", "scene.penalties.tv=null", "data.mask=null"])
     assert list(config.physics["sensor"]) == ["offset", "level"]
     assert config.scene["penalties"] == {}
     assert list(load("nuc", ["physics.sensor=null"]).physics) == ["warp"]

@@ -37,9 +37,7 @@ def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name
     solution = solve(problem, plan(problem, definition, config))
     assert all(value.isfinite().all() for value in solution.values.values())
     stages = dict.fromkeys(row["stage"] for row in solution.history)
-    for stage in [
-        each for each in stages if "sensor" in each or each == "scene"
-    ]:  # Adam's first steps may rise
+    for stage in [each for each in stages if "sensor" in each or each == "scene"]:  # Adam's first steps may rise
         losses = [row["loss"] for row in solution.history if row["stage"] == stage]
         assert losses[-1] <= losses[0]
 
@@ -63,9 +61,7 @@ def test_a_shipped_file_says_in_its_first_line_what_it_is(path):
     assert headline(path).endswith(".")
 
 
-@pytest.mark.parametrize(
-    "path", sorted((SHIPPED_CONFIGS / "prior").glob("*.yaml")), ids=lambda path: path.stem
-)
+@pytest.mark.parametrize("path", sorted((SHIPPED_CONFIGS / "prior").glob("*.yaml")), ids=lambda path: path.stem)
 def test_a_preset_of_a_prior_holds_a_scene_and_nothing_else(path):
     from deepir.config.overrides import parse_yaml
 

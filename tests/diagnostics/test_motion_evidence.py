@@ -28,9 +28,7 @@ def period(frames):
 
 @pytest.mark.parametrize(("seed", "turn"), [pytest.param(0, 0.0, marks=pytest.mark.slow), (1, 2.0)])
 def test_before_a_fence_the_result_is_no_worse_than_a_raw_frame(seed, turn):
-    settings = Settings(
-        n_frames=6, shape=(96, 128), motion="rigid" if turn else "shift", max_rotation=turn, scale=1.25
-    )
+    settings = Settings(n_frames=6, shape=(96, 128), motion="rigid" if turn else "shift", max_rotation=turn, scale=1.25)
     sim = simulate(FENCE, settings, seed=seed)
     result = deepir.run("nuc", frames=sim.frames, threads=1)
     raw, found = (scores(each, sim.truth.scene)["psnr_aligned"] for each in (sim.frames[0], result.scene))

@@ -116,9 +116,7 @@ def test_a_burst_with_dead_columns_and_a_dead_block_is_as_good_as_without():
     sim = burst(5, shape=(64, 80))
     frames = sim.frames.copy()
     frames[:, :, [20, 21, 60]], frames[:, 30:36, 40:46] = 57, 0
-    errors = [
-        deepir.run("nuc", frames=each, threads=1).scene - sim.truth.scene for each in (sim.frames, frames)
-    ]
+    errors = [deepir.run("nuc", frames=each, threads=1).scene - sim.truth.scene for each in (sim.frames, frames)]
     whole, holed = (np.abs(error - np.median(error)).mean() for error in errors)
     assert holed < 1.3 * whole
 
@@ -164,9 +162,7 @@ def test_dead_and_flickering_pixels_of_a_burst_are_found_and_filled():
 def test_a_plain_scene_in_coarse_steps_has_no_dead_pixels():
     sim = burst(5, shape=(64, 80), contrast=600)
     steps = [deepir.run("nuc", frames=sim.frames // step * step, threads=1) for step in (1, 64)]
-    fine, coarse = (
-        np.abs(each.scene - np.median(each.scene - sim.truth.scene) - sim.truth.scene) for each in steps
-    )
+    fine, coarse = (np.abs(each.scene - np.median(each.scene - sim.truth.scene) - sim.truth.scene) for each in steps)
     assert steps[1].bad_pixels.mean() < 0.002
     assert np.median(coarse) < 20
     assert np.median(fine) < np.median(coarse)

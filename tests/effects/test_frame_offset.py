@@ -68,9 +68,7 @@ def test_frames_that_are_smoothly_wrong_each_by_itself_are_not_shaded(seed, coun
     assert psnr(result, sim) > 42
 
 
-@pytest.mark.parametrize(
-    ("slope", "kind"), [pytest.param(0.0, 0, marks=pytest.mark.slow), (60.0, 0), (0.0, 2)]
-)
+@pytest.mark.parametrize(("slope", "kind"), [pytest.param(0.0, 0, marks=pytest.mark.slow), (60.0, 0), (0.0, 2)])
 def test_a_pan_over_which_the_level_rises_steadily_is_no_slope_of_the_scene(slope, kind):
     """A slope of the scene, the opposite one of the offset and a steady drift are the same frames: the least it is."""
     rng = np.random.default_rng(0)

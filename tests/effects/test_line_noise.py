@@ -47,9 +47,7 @@ def test_where_no_line_jumps_nothing_changes(effects):
     [
         (2, {"shape": (24, 32), "max_shift": 4.0, "offset_pixel": 0.04, "offset_row": 0.03}),
         (1, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}),
-        pytest.param(
-            4, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}, marks=pytest.mark.slow
-        ),
+        pytest.param(4, {"shape": (48, 64), "max_shift": 6.0, "n_frames": 8, "shading": 0.2}, marks=pytest.mark.slow),
     ],
 )
 def test_edges_as_long_as_a_short_line_do_not_make_it_jump(scene, camera):
@@ -88,9 +86,7 @@ def test_a_run_whose_rows_jump_and_level_drifts_repeats_to_the_bit():
 def test_a_simulated_line_jumps_as_the_truth_says():
     still, jumping = burst(counts=False), burst(counts=False, row_noise=0.1, column_noise=0.05)
     truth = jumping.truth
-    np.testing.assert_allclose(
-        jumping.frames - still.frames, truth.rows[..., None] + truth.columns[:, None], atol=1e-5
-    )
+    np.testing.assert_allclose(jumping.frames - still.frames, truth.rows[..., None] + truth.columns[:, None], atol=1e-5)
     assert truth.rows.std() == pytest.approx(0.1, rel=0.1)
     assert truth.columns.std() == pytest.approx(0.05, rel=0.1)
     assert not still.truth.rows.any()

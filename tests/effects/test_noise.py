@@ -16,10 +16,7 @@ def test_the_bound_is_right_for_a_gaussian():
     from scipy.integrate import quad
     from scipy.stats import norm
 
-    assert (
-        pytest.approx(quad(lambda x: min(x * x, HUBER_K**2) * norm.pdf(x), -9, 9)[0], rel=1e-5)
-        == HUBER_CONSISTENCY
-    )
+    assert pytest.approx(quad(lambda x: min(x * x, HUBER_K**2) * norm.pdf(x), -9, 9)[0], rel=1e-5) == HUBER_CONSISTENCY
     assert huber_scale(gaussian(100_000, 3.0).abs()) == pytest.approx(3.0, rel=0.01)
 
 

@@ -39,17 +39,13 @@ def test_a_level_that_is_given_is_kept():
 
 def test_scene_gain_and_offset_are_those_of_the_frames_as_they_came():
     frames, _, _ = camera(PEDESTAL)
-    result = deepir.run(
-        "nuc", f"physics.sensor.reference={PEDESTAL}", frames=np.round(frames).astype(np.uint16)
-    )
+    result = deepir.run("nuc", f"physics.sensor.reference={PEDESTAL}", frames=np.round(frames).astype(np.uint16))
     left = result.gain * result.scene + result.offset - frames[0]
     assert np.median(np.abs(left)) < 1.5 * NOISE
     assert frames.min() > 0.8 * PEDESTAL  # they are not changed
 
 
-@pytest.mark.parametrize(
-    ("given", "said"), [("1e30", "the data are"), (".nan", "a level in the data's units")]
-)
+@pytest.mark.parametrize(("given", "said"), [("1e30", "the data are"), (".nan", "a level in the data's units")])
 def test_a_level_that_is_none_of_the_data_is_refused(given, said):
     frames, _, _ = camera(PEDESTAL)
     with pytest.raises(ConfigError, match=said):

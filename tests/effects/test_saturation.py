@@ -112,7 +112,5 @@ def test_bounds_are_not_compared_with_the_truth():
     scene, where = truth + 0.1 * rng.normal(size=truth.shape), np.zeros(truth.shape, np.int8)
     scene[:5], where[:5] = 0, 1
     burst = SimpleNamespace(truth={"scene": truth}, radiometry=None, size=truth.shape)
-    result = SimpleNamespace(
-        scene=scene, extra={"clipped": where}, gain=None, offset=None, motion=truth, messages=[]
-    )
+    result = SimpleNamespace(scene=scene, extra={"clipped": where}, gain=None, offset=None, motion=truth, messages=[])
     assert compare_to_truth(result, burst)["radiometric_rmse"] == pytest.approx(0.1, rel=0.1)

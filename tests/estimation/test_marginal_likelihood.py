@@ -46,9 +46,7 @@ def test_the_evidence_is_the_density_of_the_data_with_wide_priors_where_there_ar
     flat = columns.transpose(1, 0, 2).reshape(columns.shape[1], -1)
     wide, noise = 1e5, covariance(precision, own)
     densities = [
-        multivariate_normal.logpdf(
-            flat[-1], cov=noise + flat[:-1].T @ np.diag([*[wide] * FREE, *prior]) @ flat[:-1]
-        )
+        multivariate_normal.logpdf(flat[-1], cov=noise + flat[:-1].T @ np.diag([*[wide] * FREE, *prior]) @ flat[:-1])
         for prior in priors.tolist()
     ]
     nats = evidence.nats(priors).numpy()

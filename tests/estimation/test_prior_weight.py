@@ -34,13 +34,9 @@ def problem_of(scene, *settings):
         load("nuc", settings), Burst(np.stack([scene] * 5), whole, ~whole[0]), torch.eye(3).repeat(5, 1, 1)
     )
     found.precision.fill_(1 / (5 * NOISE**2))
-    margin = [
-        (each - side) // 2 for each, side in zip(found.fields["scene"].shape[-2:], scene.shape, strict=True)
-    ]
+    margin = [(each - side) // 2 for each, side in zip(found.fields["scene"].shape[-2:], scene.shape, strict=True)]
     with torch.no_grad():
-        found.fields["scene"].init_from(
-            torch.from_numpy(np.pad(scene, [(m, m) for m in margin], "edge"))[None, None]
-        )
+        found.fields["scene"].init_from(torch.from_numpy(np.pad(scene, [(m, m) for m in margin], "edge"))[None, None])
     weigh_scene(found)
     return found, tuple(slice(m, m + side) for m, side in zip(margin, scene.shape, strict=True))
 

@@ -28,8 +28,7 @@ def test_what_fewer_frames_show_is_less_sure():
 
 def test_more_frames_make_the_pattern_cheaper_and_motion_along_one_axis_dearer():
     few, many, along_x = (
-        solved(**each)[0].metrics["pattern_cost_db"]
-        for each in ({"n_frames": 3}, {"n_frames": 8}, {"jitter": "x"})
+        solved(**each)[0].metrics["pattern_cost_db"] for each in ({"n_frames": 3}, {"n_frames": 8}, {"jitter": "x"})
     )
     assert few > 10 * math.log10(3 / 2)
     assert many < few

@@ -17,9 +17,7 @@ def burst(sigma, noise=1.0, seed=0):
     generator = torch.Generator().manual_seed(seed)
     root = torch.randn(COUNT, 2, 2, dtype=torch.float64, generator=generator) / noise
     system = root @ root.mT
-    values = torch.tensor(sigma, dtype=torch.float64) * torch.randn(
-        COUNT, 2, dtype=torch.float64, generator=generator
-    )
+    values = torch.tensor(sigma, dtype=torch.float64) * torch.randn(COUNT, 2, dtype=torch.float64, generator=generator)
     chance = torch.randn(COUNT, 2, dtype=torch.float64, generator=generator)
     seen = (system @ values[..., None] + root @ chance[..., None])[..., 0]
     means = torch.linalg.solve(system + torch.eye(2), seen)
@@ -56,9 +54,7 @@ def test_a_few_outliers_change_little():
 
 
 def test_it_stays_below_its_bound():
-    assert (
-        estimate_sigmas(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
-    )
+    assert estimate_sigmas(*burst((0.3, 2.0)), ONE, torch.tensor([9.0, 1.5]).double(), [0, 1])[1] <= 1.5 + 1e-9
 
 
 def test_slope_and_curvature_are_those_of_the_likelihood():

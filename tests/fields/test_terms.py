@@ -42,9 +42,7 @@ def test_the_prior_is_the_energy_of_a_bent_plate(height, width, order):
     field = DCT((1, 1, height, width), order=order, sigma=1.0)
     per_side = torch.pi / max(height, width)
     assert torch.allclose(
-        (
-            field.basis_y[field.order_y].square().mean(1) * field.basis_x[field.order_x].square().mean(1)
-        ).sqrt(),
+        (field.basis_y[field.order_y].square().mean(1) * field.basis_x[field.order_x].square().mean(1)).sqrt(),
         torch.ones(len(field.values)),
         atol=1e-5,
     )

@@ -99,9 +99,7 @@ def test_truncated_files_lose_nothing_or_are_refused_in_one_line(tmp_path, conte
 
 @pytest.mark.parametrize("kind", recordings.FILES)
 @damaged
-@given(
-    places=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=4)
-)
+@given(places=st.lists(st.tuples(st.floats(0, 1, exclude_max=True), st.integers(1, 255)), min_size=1, max_size=4))
 def test_flipped_bits_are_read_or_refused_in_one_line(tmp_path, contents, kind, places):
     content = bytearray(contents(kind))
     for where, bits in places:

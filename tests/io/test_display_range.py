@@ -48,8 +48,7 @@ def test_who_walks_through_pictures_does_not_pass_for_their_contrast():
     tones = (sim.frames - float(sim.frames.min())) / np.ptp(sim.frames)
     pictures = [np.rint(255 * each) for each in (tones, np.where(walks, 0.8, tones))]
     alone, both = (
-        scores(deepir.run("nuc", frames=each, threads=1).scene, sim.truth.scene)["psnr_aligned"]
-        for each in pictures
+        scores(deepir.run("nuc", frames=each, threads=1).scene, sim.truth.scene)["psnr_aligned"] for each in pictures
     )
     assert both > alone - 1
 

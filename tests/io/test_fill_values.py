@@ -67,9 +67,7 @@ def test_unsigned_counts_of_netcdf_are_unsigned(tmp_path, burst):
 def test_a_fill_value_far_from_all_else_is_lost(tmp_path, celsius, value):
     celsius[1, :4] = value
     np.save(tmp_path / "a.npy", celsius)
-    np.testing.assert_array_equal(
-        np.isnan(read_frames(tmp_path / "a.npy").frames), celsius == celsius[1, 0, 0]
-    )
+    np.testing.assert_array_equal(np.isnan(read_frames(tmp_path / "a.npy").frames), celsius == celsius[1, 0, 0])
     streamed = [np.ma.getmaskarray(frame) for frame in stream_frames(tmp_path / "a.npy")]
     np.testing.assert_array_equal(streamed, celsius == celsius[1, 0, 0])
 

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import recordings
@@ -5,6 +7,7 @@ from PIL import Image
 
 from deepir.errors import DataError
 from deepir.io import read_frames, stream_frames
+from deepir.io.readers.folder import in_order
 
 
 def test_the_digest_of_a_folder_changes_with_any_of_its_files(tmp_path, burst):
@@ -21,6 +24,21 @@ def test_folders_are_in_natural_order_and_leave_out_what_is_no_picture(tmp_path,
     (tmp_path / "f" / "Thumbs.db").touch()
     np.testing.assert_array_equal(read_frames(tmp_path / "f").frames, burst)
     np.testing.assert_array_equal(list(stream_frames(tmp_path / "f")), burst)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "1732712344.9 1732712345.125 1732712345.25 1732712345.5",
+        "1700000000023456789 1700000000123456789",
+        "step_-12 step_-5 step_0 step_3",
+        "v1-2 v1-9 v1-10",
+        "v1.9 v1.10",
+    ],
+)
+def test_files_are_in_the_order_of_time_stamps_and_of_steps(names):
+    files = [Path(f"{name}.png") for name in names.split()]
+    assert in_order(files[::-1]) == files
 
 
 def test_globs_choose_files(tmp_path, burst):

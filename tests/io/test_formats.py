@@ -189,9 +189,7 @@ def test_up_to_eight_bits_take_one_byte(tmp_path, burst):
 @pytest.mark.parametrize("interleave", recordings.INTERLEAVES)
 @pytest.mark.parametrize("name", ["a.img", "a.raw", "a.hdr"])
 def test_every_order_of_envis_axes_is_read_by_the_samples_or_their_header(tmp_path, burst, interleave, name):
-    recordings.envi(
-        tmp_path / "a.raw" if name == "a.hdr" else tmp_path / name, burst, interleave, before=b"head"
-    )
+    recordings.envi(tmp_path / "a.raw" if name == "a.hdr" else tmp_path / name, burst, interleave, before=b"head")
     np.testing.assert_array_equal(read_frames(tmp_path / name).frames, burst)
     np.testing.assert_array_equal(list(stream_frames(tmp_path / name)), burst)
 

@@ -38,7 +38,4 @@ def test_a_selection_that_does_not_fit_says_how_many_frames_there_are(tmp_path, 
 
 def test_the_digest_is_that_of_the_file(tmp_path, burst):
     np.save(tmp_path / "a.npy", burst)
-    assert (
-        read_frames(tmp_path / "a.npy").sha256
-        == hashlib.sha256((tmp_path / "a.npy").read_bytes()).hexdigest()
-    )
+    assert read_frames(tmp_path / "a.npy").sha256 == hashlib.sha256((tmp_path / "a.npy").read_bytes()).hexdigest()

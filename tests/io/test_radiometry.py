@@ -105,9 +105,7 @@ def test_a_tiff_says_what_its_values_are(tmp_path, burst, law):
     assert read_frames(tmp_path / "a.tif").radiometry == law
 
 
-@pytest.mark.parametrize(
-    "said", [{}, {"unit": "counts"}, {"radiometry": {"scale": "x"}}, {"radiometry": {"a": 1}}]
-)
+@pytest.mark.parametrize("said", [{}, {"unit": "counts"}, {"radiometry": {"scale": "x"}}, {"radiometry": {"a": 1}}])
 def test_anybody_elses_description_says_nothing(tmp_path, burst, said):
     write_tiff(tmp_path / "a.tif", burst, said)
     assert read_frames(tmp_path / "a.tif").radiometry is None

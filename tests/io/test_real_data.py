@@ -36,9 +36,7 @@ FILES = {
 
 
 def test_no_file_is_forgotten(data):
-    there = {
-        str(path.relative_to(data)) for path in data.glob("*/*") if path.is_file() and path.suffix != ".md"
-    }
+    there = {str(path.relative_to(data)) for path in data.glob("*/*") if path.is_file() and path.suffix != ".md"}
     assert there <= set(FILES)
 
 

@@ -412,9 +412,7 @@ def test_other_files_than_the_hdf5_file_itself_are_never_opened(tmp_path, burst)
         {
             lambda file: file.__setitem__("frames", h5py.ExternalLink("other.h5", "camera/frames")): "none",
             lambda file: file.create_virtual_dataset("frames", layout): "never opened",
-            lambda file: file.create_dataset(
-                "frames", burst.shape, "u2", external=str(tmp_path / "raw")
-            ): "never",
+            lambda file: file.create_dataset("frames", burst.shape, "u2", external=str(tmp_path / "raw")): "never",
         }.items()
     ):
         with h5py.File(tmp_path / f"{number}.h5", "w") as file:

@@ -114,9 +114,7 @@ def test_a_turned_array_is_asked_for_with_the_setting_that_reads_it(tmp_path, fr
     some = frames[:count]
     np.savez(tmp_path / "a.npz", frames=some.transpose(["nhw".index(each) for each in axes]))
     for read in (read_frames, lambda path: list(stream_frames(path))):
-        with pytest.raises(
-            DataError, match=f"or {count} frames counted along another axis.*data.axes={axes} "
-        ):
+        with pytest.raises(DataError, match=f"or {count} frames counted along another axis.*data.axes={axes} "):
             read(tmp_path / "a.npz")
     np.testing.assert_array_equal(read_frames(tmp_path / "a.npz", axes=axes).frames, some)
     np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npz", axes=axes)), some)

@@ -37,9 +37,7 @@ def test_rows_of_words_are_found(sim, rows, share):
 def test_rows_of_few_words_among_zeros_are_found(sim, rows):
     rng, frames = np.random.default_rng(0), sim.frames.copy()
     frames[:, rows] = 0
-    frames[:, rows[0] : rows[-1] + 1, rng.choice(128, 4)] = rng.integers(
-        0, 65536, (len(frames), len(rows), 4)
-    )
+    frames[:, rows[0] : rows[-1] + 1, rng.choice(128, 4)] = rng.integers(0, 65536, (len(frames), len(rows), 4))
     assert telemetry_rows(frames) == rows
 
 

@@ -32,9 +32,7 @@ def test_a_frame_that_begins_as_the_one_before_is_torn(frames):
 @pytest.mark.parametrize("picture", [procedural, sky])
 @pytest.mark.parametrize("seed", range(4))
 def test_whole_frames_are_whole(picture, seed):
-    whole = simulate(
-        picture(seed, (200, 250)), Settings(n_frames=6, shape=(64, 80), counts=True), seed=seed
-    ).frames
+    whole = simulate(picture(seed, (200, 250)), Settings(n_frames=6, shape=(64, 80), counts=True), seed=seed).frames
     assert torn_frames(whole) == {}
     assert drawn_message(drawn_pixels(whole)) == []
 

@@ -72,9 +72,7 @@ def yuv(path, luma, codec="libx264", stored="yuv420p", colour_range=None, box=No
         for planes in luma:
             shown = av.VideoFrame(luma.shape[2], luma.shape[1], stored)
             for number, plane in enumerate(shown.planes):
-                values = np.full(
-                    (plane.height, plane.line_size // luma.itemsize), 128 << 2 * deep, luma.dtype
-                )
+                values = np.full((plane.height, plane.line_size // luma.itemsize), 128 << 2 * deep, luma.dtype)
                 if number == 0:
                     values[:, : plane.width] = planes
                 elif box is not None:

@@ -91,9 +91,7 @@ def test_tiff_keeps_values_pages_and_metadata(tmp_path, count):
     shape = (20, 24) if count is None else (count, 20, 24)
     frames = np.random.default_rng(0).normal(8000, 40, shape)
     write_tiff(tmp_path / "a.tif", frames, {"prior": "tv", "unit": "°C", "sigma": np.float64(6)})
-    np.testing.assert_array_equal(
-        read_frames(tmp_path / "a.tif").frames, frames.reshape(-1, 20, 24).astype("f4")
-    )
+    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif").frames, frames.reshape(-1, 20, 24).astype("f4"))
     with tifffile.TiffFile(tmp_path / "a.tif") as tiff:
         assert len(tiff.pages) == (count or 1)
         assert json.loads(tiff.pages[0].description) == {"prior": "tv", "unit": "°C", "sigma": 6.0}

@@ -91,9 +91,7 @@ def test_the_weighted_residuals_and_their_sum(size, dtype, one):
 
 
 @settings(deadline=None)
-@given(
-    size=sizes, dtype=types, channels=st.integers(1, 2), one=st.booleans(), factor=st.sampled_from([1.0, 3.0])
-)
+@given(size=sizes, dtype=types, channels=st.integers(1, 2), one=st.booleans(), factor=st.sampled_from([1.0, 3.0]))
 def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, one, factor):
     shape = (3, channels, *size)
     flux = (50 + torch.randn(1 if one else 3, channels, *size, dtype=torch.float64)).requires_grad_()
@@ -104,17 +102,13 @@ def test_the_frames_of_a_sensor_without_its_prediction(size, dtype, channels, on
     given = [each.detach().to(dtype) for each in (flux, data, precision, gain, offset, level)]
     given[0].requires_grad_()
     given[-1].requires_grad_()
-    found = factor * normal_equations.sensor_least_squares(
-        given[0].expand(shape), *given[1:3], tuple(given[3:])
-    )
+    found = factor * normal_equations.sensor_least_squares(given[0].expand(shape), *given[1:3], tuple(given[3:]))
     tolerance = 1e-4 if dtype == torch.float32 else 1e-12
     assert float(found.detach()) == pytest.approx(float(wanted.detach()), rel=tolerance)
     slopes = torch.autograd.grad(found, (given[0], given[-1]))
     for slope, right in zip(slopes, torch.autograd.grad(wanted, (flux, level)), strict=True):
         assert slope.dtype == dtype
-        assert torch.allclose(
-            slope.double(), right, rtol=tolerance, atol=tolerance * float(right.abs().max())
-        )
+        assert torch.allclose(slope.double(), right, rtol=tolerance, atol=tolerance * float(right.abs().max()))
 
 
 @settings(deadline=None)
@@ -181,9 +175,7 @@ def test_a_first_use_says_why_it_takes_long(tmp_path):
     code = "import torch; from deepir.arrays.statistics import median; print(median(torch.arange(9001.0)))"
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     first, second = (
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
-        )
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
         for _ in range(2)
     )
     assert first.stdout == second.stdout == "4500.0\n"

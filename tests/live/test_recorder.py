@@ -44,9 +44,7 @@ def test_frames_are_kept_raw_and_corrected(made, tmp_path):
         made.add(RAW + number, RAW + number + 0.4)
     made.close()
     assert made.message.startswith("3 frame(s) are in ")
-    raw, corrected = (
-        tifffile.imread(list(tmp_path.glob(f"new/live-*-{what}.tif"))) for what in ("raw", "corrected")
-    )
+    raw, corrected = (tifffile.imread(list(tmp_path.glob(f"new/live-*-{what}.tif"))) for what in ("raw", "corrected"))
     assert np.array_equal(raw, RAW + np.arange(3, dtype=np.uint16)[:, None, None])
     assert np.array_equal(corrected, raw)
 

@@ -26,9 +26,7 @@ def stretched(gains, seed=0):
 def test_the_gains_are_found_from_the_pattern():
     gains = np.array([0.5, 1.0, 2.0, 1.5, 0.8, 1.2])
     frames, _, pattern = stretched(gains)
-    found = frame_gains(
-        torch.from_numpy(frames), torch.ones(frames.shape, dtype=torch.bool), torch.from_numpy(pattern)
-    )
+    found = frame_gains(torch.from_numpy(frames), torch.ones(frames.shape, dtype=torch.bool), torch.from_numpy(pattern))
     assert np.allclose(found.numpy(), gains / np.exp(np.log(gains).mean()), rtol=0.03)
 
 

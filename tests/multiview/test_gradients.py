@@ -36,13 +36,9 @@ def test_the_normal_equations_are_those_of_weighted_least_squares(edges):
         parts = []
         for axis, doubt in zip((-1, -2), doubts, strict=True):
             ahead, here = (each.narrow(axis, i, SIZE[axis] - 1) for each in (frame,) for i in (1, 0))
-            counts = edges.usable[k].narrow(axis, 1, SIZE[axis] - 1) & edges.usable[k].narrow(
-                axis, 0, SIZE[axis] - 1
-            )
+            counts = edges.usable[k].narrow(axis, 1, SIZE[axis] - 1) & edges.usable[k].narrow(axis, 0, SIZE[axis] - 1)
             level = (ahead + here) / 2 - edges.level
-            square = (
-                ahead - here - pattern[1].diff(dim=axis) - level * pattern[0].diff(dim=axis)
-            ) ** 2 + doubt
+            square = (ahead - here - pattern[1].diff(dim=axis) - level * pattern[0].diff(dim=axis)) ** 2 + doubt
             parts.append((axis, ahead - here, level, square, counts))
         squares = torch.cat([square[counts] for *_, square, counts in parts])
         freedom, scale = likeliest_tail(squares, float(scales[k]))

@@ -63,8 +63,7 @@ def test_in_float32_it_is_as_exact_as_the_type():
     x, motion = torch.rand(1, 1, 120, 700), motions(3, 0.01, 5.0, 1e-6)
     wanted = by_torch(operator, x.double(), motion)
     errors = [
-        float((each - wanted).abs().max())
-        for each in (operator(x, motion=motion), by_torch(operator, x, motion))
+        float((each - wanted).abs().max()) for each in (operator(x, motion=motion), by_torch(operator, x, motion))
     ]
     assert errors[0] < 3e-7
     assert errors[0] < errors[1] / 10  # whose coordinates are in float32
@@ -122,15 +121,11 @@ def test_frames_are_those_of_scipys_spline_interpolation_of_the_image(seed, angl
     # An image that is the same beyond the edges of the canvas: there the two differ in what they take for granted.
     operator, motion = Warp((8, 9), (28, 30), (10, 10)), motions(2, angle, shift, 1e-3, seed)
     x = torch.zeros(1, 1, 28, 30, dtype=torch.float64)
-    x[..., 8:-8, 8:-8] = torch.rand(
-        12, 14, generator=torch.Generator().manual_seed(seed), dtype=torch.float64
-    )
+    x[..., 8:-8, 8:-8] = torch.rand(12, 14, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     y, x_ = np.meshgrid(np.arange(8) - 3.5, np.arange(9) - 4.0, indexing="ij")
     at = np.einsum("nij,jhw->nihw", motion.numpy(), np.stack([x_, y, np.ones_like(y)]))
     rows, columns = at[:, 1] / at[:, 2] + 13.5, at[:, 0] / at[:, 2] + 14.0
-    wanted = ndimage.map_coordinates(
-        operator.to_pixels(x)[0, 0].numpy(), [rows, columns], order=3, mode="mirror"
-    )
+    wanted = ndimage.map_coordinates(operator.to_pixels(x)[0, 0].numpy(), [rows, columns], order=3, mode="mirror")
     assert operator(x, motion=motion)[:, 0].numpy() == pytest.approx(wanted, abs=1e-10)
 
 

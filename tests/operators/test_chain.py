@@ -9,9 +9,7 @@ from deepir.testing import check_operator
 
 def slots_for(chain, x, n_frames):
     torch.manual_seed(0)
-    found = {
-        n: 0.5 + torch.rand(s, dtype=torch.float64) for n, s in chain.slots(tuple(x.shape), n_frames).items()
-    }
+    found = {n: 0.5 + torch.rand(s, dtype=torch.float64) for n, s in chain.slots(tuple(x.shape), n_frames).items()}
     if "warp.motion" in found:
         found["warp.motion"] = torch.eye(3, dtype=torch.float64) + 0.01 * found["warp.motion"]
         found["warp.motion"][:, 2, 2] = 1

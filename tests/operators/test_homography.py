@@ -38,10 +38,7 @@ def test_it_is_exact_with_exact_adjoint_and_gradients():
         shift = (2 + 5 / 2 - away[0], 3 + 6 / 2 - away[1])  # of the frame's centre from it
         at = [slots["motion"][..., 1] + shift[0] + away[0], slots["motion"][..., 0] + shift[1] + away[1]]
         inside = [np.clip(each, 1, side - 2) for each, side in zip(at, (11, 12), strict=True)]
-        found = [
-            ndimage.map_coordinates(x[0, 0], each, order=3, prefilter=False)
-            for each in zip(*inside, strict=True)
-        ]
+        found = [ndimage.map_coordinates(x[0, 0], each, order=3, prefilter=False) for each in zip(*inside, strict=True)]
         return np.stack(found)[:, None]
 
     check_operator(operator, x, {"motion": bent((6, 7))}, reference=reference)

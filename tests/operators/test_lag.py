@@ -54,9 +54,7 @@ def test_four_sub_steps_solve_the_differential_equation_for_a_smooth_flux(tau, p
         return np.sin(2 * np.pi * time / period + phase) * (1 - np.exp(-((time / 2) ** 2)))
 
     time = np.arange(9)
-    exact = solve_ivp(
-        lambda t, y: (flux(t) - y) * FRAME / tau, (0, 8), [0.0], t_eval=time, rtol=1e-9, atol=1e-10
-    )
+    exact = solve_ivp(lambda t, y: (flux(t) - y) * FRAME / tau, (0, 8), [0.0], t_eval=time, rtol=1e-9, atol=1e-10)
     found = shown(lambda at: torch.from_numpy(flux(at.numpy())), tau)
     np.testing.assert_allclose(found, exact.y[0], atol=0.02)
 

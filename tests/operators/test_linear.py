@@ -72,9 +72,7 @@ def test_the_algebra_is_that_of_matrices():
 
 def test_a_map_shows_its_shapes():
     a, b = blurs()
-    assert repr((a + 2 * b) @ identity(a.in_shape)) == (
-        "(Blur + 2 Blur) @ Identity: (2, 1, 6, 7) -> (2, 1, 4, 5)"
-    )
+    assert repr((a + 2 * b) @ identity(a.in_shape)) == ("(Blur + 2 Blur) @ Identity: (2, 1, 6, 7) -> (2, 1, 4, 5)")
 
 
 @pytest.mark.parametrize("wrong", [lambda a: a @ a, lambda a: a + a.H, lambda a: stack(a, a.H)])

@@ -73,9 +73,7 @@ def mask(x, slots):
 
 
 def mix(x, slots):
-    return np.stack(
-        [a.item() * x[0] + b.item() * slots["s"][0] for a, b in zip(slots["a"], slots["b"], strict=True)]
-    )
+    return np.stack([a.item() * x[0] + b.item() * slots["s"][0] for a, b in zip(slots["a"], slots["b"], strict=True)])
 
 
 def exposure(x, slots):
@@ -98,9 +96,7 @@ def path_blur(x, slots):
         weights = np.zeros((height, width))
         for dx, dy in slots["path"][k, 0]:
             down, across = np.arange(height) - i - margin - dy, np.arange(width) - j - margin - dx
-            weights += np.outer(
-                *(np.where(abs(d) < 3, np.sinc(d) * np.sinc(d / 3), 0) for d in (down, across))
-            )
+            weights += np.outer(*(np.where(abs(d) < 3, np.sinc(d) * np.sinc(d / 3), 0) for d in (down, across)))
         frames[k, 0, i, j] = (weights * x[0, 0]).sum() / weights.sum()
     return frames
 

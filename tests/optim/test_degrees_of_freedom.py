@@ -38,9 +38,7 @@ def explained(by):
     return np.trace(np.linalg.solve(normal + len(by) * GRADIENT_WEIGHT * gradients, normal)) / 2
 
 
-@pytest.mark.parametrize(
-    "by", [((0, 0), (2.5, 0.5)), ((0, 0), (0.3, -1.2), (0.8, 0.6)), ((0, 0), (0.5, 3.0))]
-)
+@pytest.mark.parametrize("by", [((0, 0), (2.5, 0.5)), ((0, 0), (0.3, -1.2), (0.8, 0.6)), ((0, 0), (0.5, 3.0))])
 def test_degrees_of_freedom_are_the_noise_that_least_squares_explain(by):
     lost = explained(((0, 0),)) - explained(by)
     ours = degrees_of_freedom(shifts((0, 0)), (SIDE, SIDE)) - degrees_of_freedom(shifts(*by), (SIDE, SIDE))

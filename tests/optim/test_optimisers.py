@@ -190,11 +190,7 @@ def test_a_step_that_goes_too_far_is_followed_by_one_to_the_parabola_s_least_poi
     assert optimiser.value == pytest.approx(0.0, abs=1e-9)
 
 
-PLAN = {
-    "plan": [
-        {"name": "mine", "steps": [{"group": ["scene"], "method": "descent", "lr": 1e-3}], "iterations": 30}
-    ]
-}
+PLAN = {"plan": [{"name": "mine", "steps": [{"group": ["scene"], "method": "descent", "lr": 1e-3}], "iterations": 30}]}
 BARE = {"prior": "tv", "physics": {}, "solver": PLAN, "threads": 1, "noise": {"read": 0.1}}
 
 

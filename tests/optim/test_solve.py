@@ -60,9 +60,7 @@ def dense_scene(problem):
     values["scene"] = torch.zeros_like(values["scene"])
     at_zero = problem.predict(values).detach().flatten()
     units = torch.eye(math.prod(shape), dtype=torch.float64)
-    columns = [
-        problem.predict(values | {"scene": u.reshape(shape)}).detach().flatten() - at_zero for u in units
-    ]
+    columns = [problem.predict(values | {"scene": u.reshape(shape)}).detach().flatten() - at_zero for u in units]
     a, w = torch.stack(columns, 1), problem.precision.flatten()
     ridge = problem.penalties["scene"]["prior"]
     normal = a.T @ (w[:, None] * a) + float(ridge.weight) * units
@@ -98,9 +96,7 @@ def test_unknowns_outside_the_steps_stay_and_stages_follow_each_other(small_nuc)
     motion = problem.fields["motion"]().detach()
     stages = [
         Stage("first", (Step(("scene",)), ELIMINATE), 4, prepare=lambda p: seen.append("first")),
-        Stage(
-            "second", (Step(("scene",)),), 3, prepare=lambda p: seen.append(problem.fields["gain"]().detach())
-        ),
+        Stage("second", (Step(("scene",)),), 3, prepare=lambda p: seen.append(problem.fields["gain"]().detach())),
     ]
     solution = solve(problem, stages)
     assert seen[0] == "first"
@@ -220,9 +216,7 @@ def test_nan_ends_the_solve_with_a_reason_and_the_last_good_state(method, tmp_pa
     fields |= {"offset": Constant((1, 1, 6, 7)), "level": Constant((2, 1, 1, 1))}
     data = torch.rand(2, 1, 6, 7)
     chain = Chain({"breaks": BreaksDown(), "sensor": Sensor()})
-    problem = Problem(
-        chain, fields, data, torch.ones_like(data), penalties={"scene": {"ridge": Ridge(weight=1.0)}}
-    )
+    problem = Problem(chain, fields, data, torch.ones_like(data), penalties={"scene": {"ridge": Ridge(weight=1.0)}})
     # Two groups: an alternating one evaluates anew before each step.
     steps = (Step(("scene",), method), Step(("scene",), method))
     with pytest.raises(SolverError, match=r"not a number at iteration .* of stage 'joint'"):
@@ -279,9 +273,7 @@ def test_a_resumed_solve_is_the_uninterrupted_one_to_the_bit(small_nuc, tmp_path
 
 def test_a_solve_interrupted_where_it_came_to_rest_does_not_go_on(small_nuc, tmp_path):
     stages = plan(iterations=500, tolerance=1e-2)
-    whole, wanted, fresh, found = interrupted(
-        small_nuc, lambda _: stages, None, tmp_path / "state.safetensors"
-    )
+    whole, wanted, fresh, found = interrupted(small_nuc, lambda _: stages, None, tmp_path / "state.safetensors")
     assert found.history == wanted.history
     assert same(state(whole), state(fresh))
 

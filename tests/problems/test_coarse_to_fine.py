@@ -24,9 +24,7 @@ from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural, sky
 
 WEAK = {f"{what}_{where}": 0.001 for what in ("gain", "offset") for where in ("pixel", "column", "row")}
-CAMERA = Settings(
-    n_frames=4, shape=(96, 128), max_rotation=1.0, read_noise=0.001, dead_pixels=0.0, shading=0.0, **WEAK
-)
+CAMERA = Settings(n_frames=4, shape=(96, 128), max_rotation=1.0, read_noise=0.001, dead_pixels=0.0, shading=0.0, **WEAK)
 
 
 def made(frames, motion=None, valid=None, changes=("prior=tv",)):
@@ -58,10 +56,7 @@ def test_the_start_asks_for_what_a_frame_is_off(missing):
 
 def test_nothing_is_asked_of_a_motion_that_is_known_or_of_a_scene_without_any_slope():
     sim = simulate(procedural(2, (430, 500)), CAMERA, seed=4)
-    assert (
-        gauss_newton_motion_step(made(sim.frames, changes=("prior=tv", "physics.warp.motion.fixed=true")))
-        == 0
-    )
+    assert gauss_newton_motion_step(made(sim.frames, changes=("prior=tv", "physics.warp.motion.fixed=true"))) == 0
     assert gauss_newton_motion_step(made(np.ones((3, 40, 48)))) == 0
 
 

@@ -101,9 +101,7 @@ def test_what_is_given_of_the_time_before_is_doubted_where_it_does_not_fit(sim):
     assert any("Try physics.lag.moving=1" in message for message in said)
 
 
-@pytest.mark.parametrize(
-    ("far", "remedy"), [(8.0, "take physics.lag.substeps=9"), (40.0, "take problem 'nuc'")]
-)
+@pytest.mark.parametrize(("far", "remedy"), [(8.0, "take physics.lag.substeps=9"), (40.0, "take problem 'nuc'")])
 def test_a_camera_that_jumps_is_not_helped_by_sub_steps(far, remedy):
     motion = torch.eye(3, dtype=torch.float64).repeat(4, 1, 1)
     motion[1::2, 0, 2] = far

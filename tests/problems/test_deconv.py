@@ -26,9 +26,7 @@ CLEAN = dict.fromkeys(
 def camera(picture=None, **more):
     """A frame of 80 x 96 px with noise 30 dB below its standard deviation, and a truth without blur."""
     settings = Settings(
-        **CLEAN
-        | {"n_frames": 1, "shape": (80, 96), "sharp": True, "read_noise": 0.0, "psf_sigma": 1.5}
-        | more
+        **CLEAN | {"n_frames": 1, "shape": (80, 96), "sharp": True, "read_noise": 0.0, "psf_sigma": 1.5} | more
     )
     picture = procedural(5, (430, 500)) if picture is None else picture
     noise = float(simulate(picture, settings, seed=3).frames[0].std()) * 10**-1.5
@@ -85,9 +83,7 @@ def test_plug_and_play_is_better_than_total_variation():
 
 def test_a_frame_that_is_sharp_is_reported_so():
     picture = data.camera()[:430, :500] / 255
-    found = deepir.run(
-        "deconv", "solver.max_iterations=1", frames=camera(picture, psf_sigma=0.0).frames, threads=1
-    )
+    found = deepir.run("deconv", "solver.max_iterations=1", frames=camera(picture, psf_sigma=0.0).frames, threads=1)
     assert any("hardly any blur is found" in message for message in found.messages)
 
 
@@ -168,18 +164,14 @@ def test_behind_a_blur_the_spectrum_tells_noise_from_texture(texture):
 
 def test_a_blur_that_is_wider_than_its_array_is_reported(sim):
     psf = "physics.blur.psf={type: gaussian, sigma: 3, fixed: true}"
-    with pytest.raises(
-        ConfigError, match=r"^physics\.blur\.psf: .* radius of 4 px .* physics\.blur\.radius=8"
-    ):
+    with pytest.raises(ConfigError, match=r"^physics\.blur\.psf: .* radius of 4 px .* physics\.blur\.radius=8"):
         deepir.run("deconv", psf, "physics.blur.radius=4", frames=sim.frames)
 
 
 def test_a_kernel_that_does_not_fit_is_reported(sim, tmp_path):
     np.save(tmp_path / "psf.npy", np.ones((4, 5)))
     with pytest.raises(ConfigError, match=r"psf\.npy: .* odd sides of up to 17 px, not \(4, 5\)"):
-        deepir.run(
-            "deconv", f"physics.blur.psf={{type: kernel, path: {tmp_path / 'psf.npy'}}}", frames=sim.frames
-        )
+        deepir.run("deconv", f"physics.blur.psf={{type: kernel, path: {tmp_path / 'psf.npy'}}}", frames=sim.frames)
 
 
 def test_without_a_blur_there_is_nothing_to_undo(sim):

@@ -21,9 +21,7 @@ QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
 @pytest.fixture(scope="module")
 def sim():
     """Four frames with parallax of up to 3 px, in counts."""
-    settings = Settings(
-        n_frames=4, shape=SIZE, counts=True, max_shift=6.0, shading=0.0, parallax=3.0, dead_pixels=0.0
-    )
+    settings = Settings(n_frames=4, shape=SIZE, counts=True, max_shift=6.0, shading=0.0, parallax=3.0, dead_pixels=0.0)
     return simulate(None, settings, seed=4)
 
 
@@ -44,9 +42,7 @@ def end_point_error(flow, sim):
 
 
 def test_parallax_is_found_to_a_tenth_of_a_pixel_and_the_scene_is_better_for_it(sim, found):
-    still = deepir.run(
-        "nuc", frames=sim.frames, physics={"warp": {"motion": {"type": "homography"}}}, threads=1
-    )
+    still = deepir.run("nuc", frames=sim.frames, physics={"warp": {"motion": {"type": "homography"}}}, threads=1)
     flat = displacements(project_pixels(torch.from_numpy(still.motion), SIZE)).numpy()
     assert end_point_error(found.extra["flow"], sim) < 0.1
     assert end_point_error(flat, sim) > 0.3

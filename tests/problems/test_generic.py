@@ -62,15 +62,10 @@ def test_what_is_masked_is_filled_in_and_what_is_blurred_is_sharper(physics, tmp
     rng = np.random.default_rng(0)
     truth = procedural(1, (64, 80))
     margin = problem_of(physics, np.zeros((1, 32, 40), np.float32), np.zeros((32, 40), bool))
-    extra = [
-        (whole - side) // 2
-        for whole, side in zip(margin.fields["scene"].shape[-2:], truth.shape, strict=True)
-    ]
+    extra = [(whole - side) // 2 for whole, side in zip(margin.fields["scene"].shape[-2:], truth.shape, strict=True)]
     padded = np.pad(truth, [(each, each) for each in extra], mode="edge").astype(np.float32)
     with torch.no_grad():
-        frame = margin.predict(margin.values() | {"scene": torch.from_numpy(padded)[None, None]})[
-            0, 0
-        ].numpy()
+        frame = margin.predict(margin.values() | {"scene": torch.from_numpy(padded)[None, None]})[0, 0].numpy()
     mask = rng.random(frame.shape) < 0.3
     np.save(tmp_path / "mask.npy", mask)
     noisy = np.where(mask, 9.0, frame + 0.005 * rng.standard_normal(frame.shape))

@@ -13,9 +13,7 @@ from deepir.simulate.scenes.procedural import load_picture
 
 QUICK = {"threads": 1, "solver": {"max_iterations": 2}}
 ONE = {"threads": 1}
-PICTURES = (
-    "camera,moon,gravel,astronaut,grass,procedural:1,procedural:2,procedural:3,procedural:4,procedural:5"
-)
+PICTURES = "camera,moon,gravel,astronaut,grass,procedural:1,procedural:2,procedural:3,procedural:4,procedural:5"
 
 
 def views(pictures=PICTURES, **more):
@@ -183,9 +181,7 @@ def test_every_kind_of_prior_takes_two_steps(prior):
 def test_better_priors_give_better_scenes():
     sim = views(read_noise=0.03)
     error = {
-        prior: np.std(
-            deepir.run("multiview_nuc", frames=sim.frames, prior=prior, **ONE).scene - sim.truth.scene
-        )
+        prior: np.std(deepir.run("multiview_nuc", frames=sim.frames, prior=prior, **ONE).scene - sim.truth.scene)
         for prior in ("pixels", "tv", "red")
     }
     assert error["red"] < error["tv"] < error["pixels"]
@@ -240,9 +236,7 @@ def test_what_cannot_work_is_refused(sim, change, message):
 
 def recording(kind, shape, count):
     """A camera whose shutter has closed just before."""
-    settings = RecordingSettings(
-        kind=kind, n_frames=count, frame_rate=15, shape=shape, shutter_every=60.0, drift=0.01
-    )
+    settings = RecordingSettings(kind=kind, n_frames=count, frame_rate=15, shape=shape, shutter_every=60.0, drift=0.01)
     return simulate_recording(settings, seed=7)
 
 

@@ -20,9 +20,7 @@ SIZE = (64, 64)
 
 def picture(name, size=SIZE):
     """A public picture in [0, 1]."""
-    return skimage.transform.resize(
-        getattr(skimage.data, name)().astype(float) / 255, size, anti_aliasing=True
-    )
+    return skimage.transform.resize(getattr(skimage.data, name)().astype(float) / 255, size, anti_aliasing=True)
 
 
 @pytest.fixture
@@ -93,9 +91,7 @@ def test_a_mosaic_of_bands_is_filled_in(noisy):
     seen = np.arange(64 * 64).reshape(64, 64) % 3 == np.arange(3)[:, None, None]
     noisy(np.where(seen, bands, np.nan))
     result = run("physics: {}\nscene: {shared: false}\ndata: {path: frames.npy}\nprior: tv")
-    mean = np.where(seen, np.load("frames.npy"), 0).sum((1, 2), keepdims=True) / seen.sum(
-        (1, 2), keepdims=True
-    )
+    mean = np.where(seen, np.load("frames.npy"), 0).sum((1, 2), keepdims=True) / seen.sum((1, 2), keepdims=True)
     assert psnr(result.scene, bands) > psnr(np.broadcast_to(mean, bands.shape), bands) + 6
 
 
@@ -109,13 +105,10 @@ def test_a_motion_of_each_pixel_is_read_from_a_file(noisy):
     coefficients = torch.from_numpy(scene)[None, None]
     canvas = torch.nn.functional.interpolate(coefficients, warp.canvas, mode="bilinear")
     noisy(warp(canvas, motion=torch.from_numpy(points))[:, 0].numpy(), points=points)
-    text = (
-        "data: {path: frames.npy}\nprior: tv\nphysics: {warp: {motion: {type: constant, path: points.npy}}}"
-    )
+    text = "data: {path: frames.npy}\nprior: tv\nphysics: {warp: {motion: {type: constant, path: points.npy}}}"
     truth = warp.to_pixels(canvas)[0, 0].numpy()[8:72, warp.origin[1] : warp.origin[1] + 64]
     assert (
-        psnr(run(text).scene, truth)
-        > psnr(run("data: {path: frames.npy}\nprior: tv\nphysics: {}").scene, truth) + 10
+        psnr(run(text).scene, truth) > psnr(run("data: {path: frames.npy}\nprior: tv\nphysics: {}").scene, truth) + 10
     )
 
 
@@ -157,9 +150,7 @@ def test_a_rolling_shutter_is_undone_and_its_readout_found(noisy):
     whole = run(f"{text}{{warp: {{{moved}}}}}")
     rows = run(f"{text}{{rolling_shutter: {{{moved}, readout: {{type: uniform, init: 0.4}}}}}}")
     assert rows.extra["readout"] == pytest.approx(0.8, abs=0.05)
-    assert (
-        psnr(rows.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) > psnr(whole.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) + 6
-    )
+    assert psnr(rows.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) > psnr(whole.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) + 6
 
 
 def test_frames_of_different_sharpness_give_one_sharp_scene(noisy):
@@ -176,9 +167,7 @@ def test_frames_of_different_sharpness_give_one_sharp_scene(noisy):
     text = "data: {path: frames.npy}\nprior: tv\nphysics:\n  warp: {motion: {type: shift, init: register}}\n"
     one = run(text)
     each = run(f"{text}  blur: {{radius: {radius}, per_frame: true, psf: {{type: gaussian}}}}")
-    assert (
-        psnr(each.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) > psnr(one.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) + 4
-    )
+    assert psnr(each.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) > psnr(one.scene[4:-4, 4:-4], truth[4:-4, 4:-4]) + 4
 
 
 def test_frames_that_are_registered_have_a_least_size(noisy):

@@ -39,9 +39,7 @@ DARK = procedural(6, (260, 300)) ** 3  # photons are few, and noise little, in h
 
 
 def test_a_gain_that_is_known_is_no_worse_than_one_that_is_found(tmp_path):
-    camera = Settings(
-        n_frames=5, shape=(96, 120), photons=1000.0, gain_column=0.3, shading=0.0, dead_pixels=0.0
-    )
+    camera = Settings(n_frames=5, shape=(96, 120), photons=1000.0, gain_column=0.3, shading=0.0, dead_pixels=0.0)
     sim = simulate(DARK, camera, seed=15)
     np.save(tmp_path / "gain.npy", sim.truth.gain)
     known = {"type": "constant", "path": str(tmp_path / "gain.npy")}
@@ -54,9 +52,7 @@ def test_a_gain_that_is_known_is_no_worse_than_one_that_is_found(tmp_path):
 
 
 def test_noise_that_is_given_as_it_was_made_does_next_to_as_well_as_that_which_is_measured():
-    camera = Settings(
-        n_frames=3, shape=(96, 120), photons=1000.0, read_noise=0.002, shading=0.0, dead_pixels=0.0
-    )
+    camera = Settings(n_frames=3, shape=(96, 120), photons=1000.0, read_noise=0.002, shading=0.0, dead_pixels=0.0)
     sim = simulate(DARK, camera, seed=16)
     found, with_truth = (
         deepir.run("nuc", frames=sim.frames, threads=1, **more)

@@ -36,10 +36,7 @@ def film():
         picture = ndimage.spline_filter(8000 + 300 * procedural(20 + k, (height + 40, width + 40)))
         at = ndimage.gaussian_filter1d(rng.standard_normal((PER_SCENE, 2)), 1.0, axis=0) * 9
         at -= at[0]
-        moved = [
-            ndimage.map_coordinates(picture, [rows + 20 + y, columns + 20 + x], prefilter=False)
-            for y, x in at
-        ]
+        moved = [ndimage.map_coordinates(picture, [rows + 20 + y, columns + 20 + x], prefilter=False) for y, x in at]
         frames += moved
     scenes = np.stack(frames)
     noisy = scenes + offset + 3 * rng.standard_normal(scenes.shape)

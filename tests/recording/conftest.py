@@ -35,10 +35,7 @@ def walk() -> Walk:
     x = 170 + 70 * np.cos(0.87 * time) + 6 * np.cos(2.3 * time)
     rows, columns = np.indices(SIZE)
     scenes = np.stack(
-        [
-            ndimage.map_coordinates(picture, [rows + a, columns + b], order=1)
-            for a, b in zip(y, x, strict=True)
-        ]
+        [ndimage.map_coordinates(picture, [rows + a, columns + b], order=1) for a, b in zip(y, x, strict=True)]
     )
     v, u = np.mgrid[-1 : 1 : SIZE[0] * 1j, -1 : 1 : SIZE[1] * 1j]
     slow = 150 * (u**2 + v**2) + 60 * u

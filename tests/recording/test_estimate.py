@@ -56,9 +56,7 @@ def test_the_pattern_of_a_camera_that_moves_is_found(walk, corrected):
     assert found.bad_pixels[walk.bad].mean() > 0.9
     assert found.bad_pixels[good].mean() < 1e-3
     assert alike(found.gain, walk.gain, good & ~found.bad_pixels) > 0.6
-    smooth = ndimage.gaussian_filter(
-        found.offset - walk.fine, 6
-    )  # the low-order part: not that of the scenes
+    smooth = ndimage.gaussian_filter(found.offset - walk.fine, 6)  # the low-order part: not that of the scenes
     assert alike(smooth, walk.slow, good) > 0.95
     assert 0.8 < smooth.std() / walk.slow.std() < 1.2
 

@@ -37,9 +37,7 @@ def test_a_long_recording_is_spread_over_its_length_within_bounds():
 
 def test_no_keyframes_are_taken_while_the_camera_rests():
     moving = pan(SHORT, 2.0)
-    rest = np.repeat(moving[-1:], 2 * SHORT, axis=0) + np.random.default_rng(1).integers(
-        0, 3, (2 * SHORT, *SIZE)
-    )
+    rest = np.repeat(moving[-1:], 2 * SHORT, axis=0) + np.random.default_rng(1).integers(0, 3, (2 * SHORT, *SIZE))
     found = choose_keyframes(iter(np.concatenate([moving, rest.astype(np.uint16)])))
     assert (found.numbers < SHORT).mean() > 0.8
 

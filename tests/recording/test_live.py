@@ -57,9 +57,7 @@ def test_the_pattern_goes_while_the_camera_moves(walk, corrector):
     assert np.array_equal(corrected[0], walk.frames[0])
     assert corrector.status.estimates >= 2
     assert corrector.status.correcting
-    assert left(corrected[-20:], walk.scenes[-20:], walk) < 0.3 * left(
-        walk.frames[-20:], walk.scenes[-20:], walk
-    )
+    assert left(corrected[-20:], walk.scenes[-20:], walk) < 0.3 * left(walk.frames[-20:], walk.scenes[-20:], walk)
 
 
 def test_nothing_is_learned_while_the_camera_stands_still(walk, corrector):

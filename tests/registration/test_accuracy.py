@@ -48,9 +48,7 @@ def bursts(kind, names, seeds, camera, *, most=0.4, marks=()):
         ),
         *bursts("clouds below the pattern", ["sky 1"], [12], PLAIN | {"n_frames": 3}),
         *bursts("clouds below the pattern", ["sky 2"], [12], PLAIN),
-        *bursts(
-            "clouds below the pattern in counts", ["sky 3"], [12], PLAIN | {"n_frames": 3, "counts": True}
-        ),
+        *bursts("clouds below the pattern in counts", ["sky 3"], [12], PLAIN | {"n_frames": 3, "counts": True}),
         *bursts("bright slope", ["sky 1", "sky 2", "sky 4"], [31], TONES | {"n_frames": 3}),
         *bursts("clouds that look still", ["sky 1"], [30, 35], TONES_IN_COUNTS | {"n_frames": 3}),
         *bursts(
@@ -61,24 +59,16 @@ def bursts(kind, names, seeds, camera, *, most=0.4, marks=()):
         ),
         *bursts("two of three frames are close", ["drawn 5 ** 4", "drawn 9 ** 6"], [79], DARK),
         *bursts("clouds that turn", ["sky 2"], [32], {"counts": True, "max_rotation": 6.0}),
-        *bursts(
-            "figure", ["camera"], [41], TONES | {"n_frames": 3, "gain_column": 0.05, "max_rotation": 6.0}
-        ),
+        *bursts("figure", ["camera"], [41], TONES | {"n_frames": 3, "gain_column": 0.05, "max_rotation": 6.0}),
         *bursts("object", ["drawn 6"], [76], TONES | WALKER | {"n_frames": 10}),
         *bursts("object", ["moon"], [61], TONES | WALKER | {"n_frames": 10}),
         *bursts("object", ["moon"], [62], TONES | WALKER),
         *bursts("object", ["sky 6"], [52], TONES | WALKER | {"n_frames": 3}),
         *bursts("object", ["sky 1"], [30], TONES | WALKER, marks=pytest.mark.slow),
         *bursts("object", ["sky 5"], [1], TONES_IN_COUNTS | WALKER, marks=pytest.mark.slow),
-        *bursts(
-            "object", ["sky 2"], [19], TONES_IN_COUNTS | WALKER | {"n_frames": 20}, marks=pytest.mark.slow
-        ),
-        *bursts(
-            "quick object", ["moon"], [51], TONES_IN_COUNTS | WALKER | {"n_frames": 3, "walker_speed": 4.0}
-        ),
-        *bursts(
-            "object before a camera at rest", ["drawn 5"], [5], LARGE_WALKER | {"max_shift": 0.0}, most=0.05
-        ),
+        *bursts("object", ["sky 2"], [19], TONES_IN_COUNTS | WALKER | {"n_frames": 20}, marks=pytest.mark.slow),
+        *bursts("quick object", ["moon"], [51], TONES_IN_COUNTS | WALKER | {"n_frames": 3, "walker_speed": 4.0}),
+        *bursts("object before a camera at rest", ["drawn 5"], [5], LARGE_WALKER | {"max_shift": 0.0}, most=0.05),
         *bursts("object before a slow camera", ["drawn 5"], [5], LARGE_WALKER | {"max_shift": 2.0}),
         *bursts("24 x 32 px", [None], [1, 9], PLAIN | SMALL | {"shape": (24, 32)}),
         *bursts("33 x 47 px", [None], [1, 5, 7], PLAIN | SMALL | {"shape": (33, 47)}),

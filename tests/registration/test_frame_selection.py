@@ -125,9 +125,7 @@ def test_frames_that_are_read_twice_are_used_once():
 
 
 def test_repeated_frames_do_not_lower_the_noise(burst):
-    once, thrice = (
-        deepir.run("nuc", "prior=tv", frames=burst.frames.repeat(times, 0), threads=1) for times in (1, 3)
-    )
+    once, thrice = (deepir.run("nuc", "prior=tv", frames=burst.frames.repeat(times, 0), threads=1) for times in (1, 3))
     assert abs(thrice.metrics["noise_sigma"] / once.metrics["noise_sigma"] - 1) < 1e-3
 
 

@@ -34,9 +34,7 @@ def off(motion, sim):
 
 
 @pytest.mark.parametrize(("name", "seed", "camera"), [("sky 6", 32, TONES_IN_COUNTS), ("sky 2", 57, TONES)])
-def test_clouds_whose_residuals_are_least_at_a_far_place_are_found_by_integer_shifts(
-    name, seed, camera, monkeypatch
-):
+def test_clouds_whose_residuals_are_least_at_a_far_place_are_found_by_integer_shifts(name, seed, camera, monkeypatch):
     sim, frames = recorded(name, seed, n_frames=3, **camera)
     assert off(register(frames).motion, sim) < 0.5
     # Without integer shifts they are not found, nor by the search beside moving objects, nor by that of a pan.
@@ -56,9 +54,7 @@ def test_whole_shifts_are_right_to_a_px_or_so_whatever_the_pattern(name):
 def test_the_first_harmonic_is_that_of_the_dense_likelihood():
     rng = np.random.default_rng(3)
     spectra = shift_likelihood.ShiftLikelihood(torch.from_numpy(rng.normal(size=(2, 24, 30)).cumsum(1)))
-    found = shift_likelihood.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[
-        spectra.band
-    ]
+    found = shift_likelihood.first_harmonic(spectra, 1, np.array([True, False]), np.zeros((2, 2), int))[spectra.band]
     turns = np.exp(2j * np.pi * np.arange(64) / 64)
     for wave in ((5, 4), (2, 7), (12, 3)):
         scene, noise = spectra.scene[wave], spectra.noise[wave]
@@ -144,9 +140,7 @@ def test_the_likelihood_of_rotations_has_the_slope_of_its_differences():
         ("sky 8", 50, TONES_IN_COUNTS | STRONG),
     ],
 )
-def test_clouds_before_which_the_camera_turns_are_found_by_the_likelihood_of_rotations(
-    name, seed, camera, monkeypatch
-):
+def test_clouds_before_which_the_camera_turns_are_found_by_the_likelihood_of_rotations(name, seed, camera, monkeypatch):
     sim, frames = recorded(name, seed, n_frames=6, max_rotation=2.0, max_shift=8.0, **camera)
     result = register(frames)
     assert result.used.all()

@@ -48,18 +48,14 @@ def view(name, motion, shape=SHAPE):
         for dx in (-1 / 3, 0, 1 / 3):
             x, y = apply(motion, points + np.array([[dx], [dy]])) * ZOOM
             centre = (np.array(picture.shape) - 1) / 2
-            total = total + scipy.ndimage.map_coordinates(
-                picture, [y + centre[0], x + centre[1]], prefilter=False
-            )
+            total = total + scipy.ndimage.map_coordinates(picture, [y + centre[0], x + centre[1]], prefilter=False)
     return np.clip(total.reshape(shape) / 9, 0.01, None)
 
 
 def burst(name, motions, gain=1.0, tau=1000.0, seed=0):
     rng = np.random.default_rng(seed)
     flux = gain * np.stack([view(name, motion) for motion in motions])
-    return torch.tensor(
-        flux + rng.normal(size=flux.shape) * np.sqrt(flux.clip(1e-3) / tau), dtype=torch.float32
-    )
+    return torch.tensor(flux + rng.normal(size=flux.shape) * np.sqrt(flux.clip(1e-3) / tau), dtype=torch.float32)
 
 
 def errors(result, motions, shape=SHAPE):
@@ -169,9 +165,7 @@ def test_frames_of_integers_register_as_the_same_frames_of_floats():
     unit=st.sampled_from([1.0, 1500.0]),
 )
 @settings_of_hypothesis(max_examples=20, deadline=None)
-def test_variance_stabilisation_makes_a_pattern_as_strong_in_the_bright_as_in_the_dark(
-    gain, offset, seed, unit
-):
+def test_variance_stabilisation_makes_a_pattern_as_strong_in_the_bright_as_in_the_dark(gain, offset, seed, unit):
     rng = np.random.default_rng(seed)
     flux = np.tile(np.linspace(0.1, 1.5, 160), (128, 1))
     frame = flux * (1 + gain * rng.normal(size=flux.shape)) + offset * rng.normal(size=flux.shape)

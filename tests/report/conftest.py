@@ -26,9 +26,7 @@ def result():
     found.offset = rng.normal(0, 30, SIZE).astype(np.float32)
     found.uncertainty = {name: np.full(SIZE, 0.5) for name in ("scene", "gain", "offset")}
     found.motion[1, :2, 2], found.motion[2, :2, 2] = (3, -2), (-1, 4)
-    found.history = [
-        {"stage": "scene", "iteration": i, "loss": 1000.0 / i, "held_out": 9.0 - i} for i in range(1, 6)
-    ]
+    found.history = [{"stage": "scene", "iteration": i, "loss": 1000.0 / i, "held_out": 9.0 - i} for i in range(1, 6)]
     found.metrics = {"stop_reason": "converged", "seconds": 1.5, "noise_sigma": 5.0, "held_out_rmse": np.nan}
     return found
 
@@ -54,9 +52,7 @@ def visit(browser):
         page = context.new_page()
         page.on("console", lambda message: wrong.append(message.text))
         page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.on(
-            "request", lambda request: wrong.append(request.url) if request.url != path.as_uri() else None
-        )
+        page.on("request", lambda request: wrong.append(request.url) if request.url != path.as_uri() else None)
         page.on("dialog", lambda dialog: wrong.append(dialog.message))
         page.goto(path.as_uri())
         page.wait_for_selector("html[data-ready]")

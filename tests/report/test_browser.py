@@ -151,9 +151,7 @@ def test_the_first_screen_of_a_phone_says_whether_to_trust_the_result(report, re
     box = page.locator("#verdict").bounding_box()
     assert box["y"] + box["height"] < 740 / 2
     assert page.get_attribute("#verdict", "class") == "bad"
-    assert page.inner_text("#verdict").startswith(
-        "Do not trust this result: the estimated pattern looks like"
-    )
+    assert page.inner_text("#verdict").startswith("Do not trust this result: the estimated pattern looks like")
     assert page.inner_text("#verdict code") == "data.mask"
     colours = page.eval_on_selector_all(
         "#messages li", "all => all.map(each => getComputedStyle(each).borderLeftColor)"

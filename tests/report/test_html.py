@@ -37,9 +37,7 @@ def test_a_map_is_read_to_a_256th_of_what_it_shows_whatever_one_pixel_does(outli
     assert np.isnan(read[7, 9]) == (not np.isfinite(outlier))
 
 
-@pytest.mark.parametrize(
-    "image", [np.full((4, 5), 3.0), np.full((4, 5), np.nan), np.zeros((1, 1)), np.eye(4) > 0]
-)
+@pytest.mark.parametrize("image", [np.full((4, 5), 3.0), np.full((4, 5), np.nan), np.zeros((1, 1)), np.eye(4) > 0])
 def test_a_map_without_shades_is_read_as_it_is(image):
     found = pack_map(image)
     np.testing.assert_allclose(unpacked(found), image)

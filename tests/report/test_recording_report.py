@@ -44,9 +44,7 @@ def told(**changes):
 def test_the_verdict_says_how_much_pattern_there_was_and_is():
     found = told()
     assert found.severity == "good"
-    assert re.fullmatch(
-        r"The fixed pattern was [34]\.\d+ counts, and is about 0\.5 counts now\.", found.sentence
-    )
+    assert re.fullmatch(r"The fixed pattern was [34]\.\d+ counts, and is about 0\.5 counts now\.", found.sentence)
     assert found.more == "1 bad pixel is filled in."
 
 
@@ -67,9 +65,7 @@ def test_the_page_holds_frames_difference_and_maps(tmp_path):
     recording = Recording()
     write_recording_report(tmp_path / "page.html", recording, "films/drive.avi", "counts", ["motion: none"])
     text = (tmp_path / "page.html").read_text()
-    data = json.loads(
-        re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1]
-    )
+    data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
     assert (data["title"], data["source"]) == ("correction", "drive.avi")
     names = [each["name"] for each in data["maps"]]
     assert names == ["raw", "scene", "difference", "offset", "offset_sd", "gain", "bad_pixels"]

@@ -54,9 +54,7 @@ def test_a_seed_gives_the_burst_that_it_gave_in_version_0_1(settings, seed, mean
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_an_effect_touches_nothing_but_its_own(effect):
     """Motion, level and scene are the same to the bit; the sensor is, but for its own effects."""
-    before, after = (
-        having(Settings(**SMALL, photons=500.0), **changes) for changes in ({}, {effect: EFFECTS[effect]})
-    )
+    before, after = (having(Settings(**SMALL, photons=500.0), **changes) for changes in ({}, {effect: EFFECTS[effect]}))
     for name in ("motion", "level", "scene", "scale"):
         np.testing.assert_array_equal(getattr(before.truth, name), getattr(after.truth, name))
     if effect in ("walker", "failed_frame", "read_noise"):
@@ -132,9 +130,7 @@ def test_each_frame_shows_its_own_picture_through_the_same_sensor():
     assert truth.scene.shape == (3, 32, 40)
     rest = sim.frames - truth.gain * truth.scene - truth.offset
     assert rest.std() == pytest.approx(truth.read_noise, rel=0.05)
-    alone = simulate(
-        load_picture("moon"), Settings(n_frames=1, shape=(32, 40), dead_pixels=0.0, max_shift=0.0), seed=2
-    )
+    alone = simulate(load_picture("moon"), Settings(n_frames=1, shape=(32, 40), dead_pixels=0.0, max_shift=0.0), seed=2)
     np.testing.assert_allclose(truth.scene[1], alone.truth.scene, atol=1e-12)
 
 
@@ -190,9 +186,7 @@ def test_a_picture_that_is_too_small_says_how_large_it_must_be():
         simulate(np.full((100, 100), 0.5), clean(shape=(96, 96)))
 
 
-@pytest.mark.parametrize(
-    "scene", [np.full((500, 500), 7.0), np.full((500, 500), np.nan), np.zeros((3, 500, 500))]
-)
+@pytest.mark.parametrize("scene", [np.full((500, 500), 7.0), np.full((500, 500), np.nan), np.zeros((3, 500, 500))])
 def test_a_scene_is_a_picture_between_zero_and_one(scene):
     with pytest.raises(DataError, match=r"\[0, 1\]"):
         simulate(scene, clean())

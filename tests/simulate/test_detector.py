@@ -95,9 +95,7 @@ def test_stuck_pixels_hide_in_the_scenes_range(counts):
 
 @pytest.mark.parametrize("photons", [0.0, 300.0])
 def test_noisy_pixels_have_ten_times_the_noise(photons):
-    settings = clean(
-        read_noise=0.01, photons=photons, noisy_pixels=0.2, n_frames=60, max_shift=0.0, shape=(48, 56)
-    )
+    settings = clean(read_noise=0.01, photons=photons, noisy_pixels=0.2, n_frames=60, max_shift=0.0, shape=(48, 56))
     found = simulate(np.full((200, 220), 0.5), settings)
     noise, noisy = found.frames.std(0), found.truth.bad_pixels
     expected = np.sqrt(0.01**2 + (0.5 / photons if photons else 0))
@@ -130,9 +128,7 @@ def test_the_level_walks_at_random():
 # ---- bolometers ----
 
 
-BOLOMETERS = Settings(
-    n_frames=4, shape=(60, 80), bolometer=True, counts=True, dead_pixels=0.0, tau=10.0, substeps=2
-)
+BOLOMETERS = Settings(n_frames=4, shape=(60, 80), bolometer=True, counts=True, dead_pixels=0.0, tau=10.0, substeps=2)
 
 
 def drawn():
@@ -176,9 +172,7 @@ def test_a_warming_housing_adds_flux_most_at_the_corners():
 
 
 def test_what_the_housing_adds_is_what_the_frames_have_more_of():
-    still = dataclasses.replace(
-        BOLOMETERS, max_shift=0.0, max_rotation=0.0, counts=False, tau=0.0, read_noise=0.0
-    )
+    still = dataclasses.replace(BOLOMETERS, max_shift=0.0, max_rotation=0.0, counts=False, tau=0.0, read_noise=0.0)
     warm = dataclasses.replace(still, housing_drift=3.0)
     cold, hot = (simulate(settings=settings, seed=2) for settings in (still, warm))
     added = hot.truth.gain * hot.truth.housing

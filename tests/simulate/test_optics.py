@@ -54,9 +54,7 @@ def test_a_point_keeps_its_energy_and_is_as_wide_as_optics_and_pixel():
     frame = render(picture, np.eye(3)[None], (41, 41), scale=4.0, psf_sigma=1.0)[0]
     x, _ = grid((41, 41))
     assert frame.sum() == pytest.approx(1 / 4.0**2, rel=1e-3)  # a picture px is a sixteenth of a pixel's area
-    assert (frame * x**2).sum() / frame.sum() == pytest.approx(
-        1.0 + 1 / 12, rel=0.002
-    )  # the spline adds none
+    assert (frame * x**2).sum() / frame.sum() == pytest.approx(1.0 + 1 / 12, rel=0.002)  # the spline adds none
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -81,9 +79,7 @@ def test_warps_pull_about_the_frames_centre(model):
 
 
 def test_positive_angles_turn_x_towards_y():
-    motion = simulate(
-        settings=clean(max_rotation=6.0, max_shift=0.0, n_frames=9, shape=(32, 32))
-    ).truth.motion
+    motion = simulate(settings=clean(max_rotation=6.0, max_shift=0.0, n_frames=9, shape=(32, 32))).truth.motion
     angle = np.arctan2(motion[:, 1, 0], motion[:, 0, 0])
     np.testing.assert_allclose(motion[:, 0, 1], -np.sin(angle))
     assert np.ptp(np.rad2deg(angle)) > 4
@@ -124,9 +120,7 @@ def moments(kernel):
 def test_an_airy_pattern_is_dark_at_its_first_ring():
     assert airy(np.array([0.0]), 2.0)[0] == pytest.approx(1)
     assert airy(np.array([2.0]), 2.0)[0] == pytest.approx(0, abs=1e-12)
-    assert airy(np.array([1.029 / 2.44 * 2.0]), 2.0)[0] == pytest.approx(
-        0.5, abs=2e-3
-    )  # full width 1.029 λ N
+    assert airy(np.array([1.029 / 2.44 * 2.0]), 2.0)[0] == pytest.approx(0.5, abs=2e-3)  # full width 1.029 λ N
 
 
 @pytest.mark.parametrize(
@@ -142,9 +136,7 @@ def test_blurs_have_the_variances_of_their_shapes(blur, variances):
 
 
 def test_a_sharp_truth_is_what_the_camera_sees_without_its_optics():
-    blurred = simulate(
-        settings=clean(n_frames=1, shape=(24, 32), sharp=True, defocus_radius=2.0, scale=3.0), seed=1
-    )
+    blurred = simulate(settings=clean(n_frames=1, shape=(24, 32), sharp=True, defocus_radius=2.0, scale=3.0), seed=1)
     clear = simulate(settings=clean(n_frames=1, shape=(24, 32), scale=3.0), seed=1)
     assert blurred.truth.scene.shape == (24, 32)
     assert blurred.frames[0].std() < blurred.truth.scene.std()
@@ -199,8 +191,7 @@ def test_parallax_that_cannot_be_is_refused():
 def test_stray_flux_is_added_in_front_of_the_sensor(shape):
     """The scene's level holds its mean, so that it has none of its own; the gain acts on both."""
     dark, lit = (
-        simulate(settings=clean(**FLAT, stray=stray, stray_shape=shape, gain_pixel=0.1), seed=4)
-        for stray in (0.0, 0.7)
+        simulate(settings=clean(**FLAT, stray=stray, stray_shape=shape, gain_pixel=0.1), seed=4) for stray in (0.0, 0.7)
     )
     truth = lit.truth
     assert np.ptp(truth.stray) == pytest.approx(0.7)

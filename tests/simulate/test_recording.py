@@ -59,9 +59,7 @@ def test_a_point_of_the_ground_moves_as_a_pinhole_projects_it(kind):
     spot = np.exp(-(at**2 + at[:, None] ** 2) / (2 * (0.012 * np.linalg.norm(point - path.position[0])) ** 2))
     ground = Surface((texture(spot, 0.05),), point - (6.4, 0, 6.4), X, Z, (12.8, 12.8))
     for k in (0, 4, 8):
-        seen, _ = render_view(
-            alone(ground), path.position[k], path.rotation[k], settings.focal, settings.shape
-        )
+        seen, _ = render_view(alone(ground), path.position[k], path.rotation[k], settings.focal, settings.shape)
         x, y, z = path.rotation[k].T @ (point - path.position[k])
         row, column = np.unravel_index(seen.argmax(), seen.shape)
         assert settings.focal * x / z + 63.5 == pytest.approx(column, abs=0.75)
@@ -192,9 +190,7 @@ def test_a_codec_loses_little_at_a_high_bit_rate_and_more_at_a_low_one(codec):
     plain = simulate_recording(small(agc=True, shape=(47, 65)), seed=1)
     errors = []
     for bits in (6.0, 0.2):
-        film = simulate_recording(
-            dataclasses.replace(plain.settings, compression=codec, bits_per_pixel=bits), seed=1
-        )
+        film = simulate_recording(dataclasses.replace(plain.settings, compression=codec, bits_per_pixel=bits), seed=1)
         assert film.frames.dtype == np.uint8
         assert film.frames.shape == plain.frames.shape
         errors.append((film.frames.astype(float) - plain.frames)[1:].std())

@@ -39,13 +39,8 @@ def test_a_difference_below_its_error_is_no_victory():
     """Seeds differ by far more than methods: paired differences decide."""
     base = [25.0, 31.0, 38.0, 29.0]
     rows = [row("best", k, psnr) for k, psnr in enumerate(base)]
-    rows += [
-        row("equal", k, psnr - d)
-        for k, (psnr, d) in enumerate(zip(base, (0.3, -0.2, 0.2, -0.1), strict=True))
-    ]
-    rows += [
-        row("worse", k, psnr - d) for k, (psnr, d) in enumerate(zip(base, (0.3, 0.2, 0.3, 0.2), strict=True))
-    ]
+    rows += [row("equal", k, psnr - d) for k, (psnr, d) in enumerate(zip(base, (0.3, -0.2, 0.2, -0.1), strict=True))]
+    rows += [row("worse", k, psnr - d) for k, (psnr, d) in enumerate(zip(base, (0.3, 0.2, 0.3, 0.2), strict=True))]
     bold = {name: r"\mathbf" in cells_of(paper.latex(rows), name)[1] for name in ("best", "equal", "worse")}
     assert bold == {"best": True, "equal": True, "worse": False}
     assert r"\mathbf" not in paper.latex([each for each in rows if each.values["seed"] == "0"])
@@ -70,9 +65,7 @@ def swept(tmp_path, monkeypatch):
     np.savez("truth.npz", scene=burst.truth.scene)
     settings = ["data.path=burst.npz", "data.truth=truth.npz", "solver.max_iterations=2", "threads=1"]
     fixed, axes = parse_axes([*settings, "prior=tv,red", "seed=0,1"])
-    with prepare(
-        "nuc", fixed, axes, folder=tmp_path / "out", workers=1, remote=False, overwrite=False
-    ) as sweep:
+    with prepare("nuc", fixed, axes, folder=tmp_path / "out", workers=1, remote=False, overwrite=False) as sweep:
         for cell in sweep.cells:
             assert finish_cell(cell, ()) is None
         yield sweep

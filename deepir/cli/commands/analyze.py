@@ -112,9 +112,7 @@ def _of_run(path: Path) -> tuple[dict[str, Array], Array | None]:
     with np.load(path / "result.npz") as stored:
         found = {name: stored[name] for name in JUDGED}
     if found["gain"].ndim > 2:
-        raise DataError(
-            f"{path}: a result of {len(found['gain'])} bands; analyse a run of one of them, frames[:, 0]"
-        )
+        raise DataError(f"{path}: a result of {len(found['gain'])} bands; analyse a run of one of them, frames[:, 0]")
     beside, scene_deviation = path / "uncertainty.npz", None
     if beside.exists():
         with np.load(beside) as stored:

@@ -32,9 +32,7 @@ MOTION_CHECK_FRAMES = 8  # first frames of a flat recording that are checked for
 
 
 def apply(
-    maps: Annotated[
-        Path, typer.Argument(metavar="MAPS", help="Maps of `deepir calibrate`, or the folder of a run.")
-    ],
+    maps: Annotated[Path, typer.Argument(metavar="MAPS", help="Maps of `deepir calibrate`, or the folder of a run.")],
     file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of the same camera.")],
     settings: ReadingSettings = None,
     output: CorrectedOutput = None,
@@ -89,9 +87,7 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
         )
     dtype = output_type(first.dtype, rounded=rounded)
     begun = time.perf_counter()
-    with open_writer(
-        target, dtype, unit_metadata(recording_radiometry(config)), shown.palette, shown.tones
-    ) as write:
+    with open_writer(target, dtype, unit_metadata(recording_radiometry(config)), shown.palette, shown.tones) as write:
         count = write_frames(map(maps.correct, itertools.chain([first], frames)), write)
     speed = count / (time.perf_counter() - begun)
     return f"{target}: {count} frame(s) of {' x '.join(map(str, first.shape))} px, {speed:.0f} frames/s"
@@ -106,9 +102,7 @@ def calibrate(
             help="Recordings of something uniform, each of another temperature; settings such as data.key=raw.",
         ),
     ],
-    burst: Annotated[
-        bool, typer.Option("--burst", help="The recording is a burst of a moving camera.")
-    ] = False,
+    burst: Annotated[bool, typer.Option("--burst", help="The recording is a burst of a moving camera.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Estimate a camera's gain, offset and bad pixels: deepir calibrate maps.npz cold.npz hot.npz.

@@ -41,12 +41,9 @@ def list_components(
     groups["priors (prior=NAME; a field or a .yaml file too)"] = {
         each: headline(SHIPPED_CONFIGS / "prior" / f"{each}.yaml") for each in prior_names()
     }
-    groups["configs (deepir run NAME)"] = {
-        each: headline(SHIPPED_CONFIGS / f"{each}.yaml") for each in shipped_names()
-    }
+    groups["configs (deepir run NAME)"] = {each: headline(SHIPPED_CONFIGS / f"{each}.yaml") for each in shipped_names()}
     groups["effects"] = {
-        each: f"{text} {_options(components('effect')[each])}".strip()
-        for each, text in groups["effects"].items()
+        each: f"{text} {_options(components('effect')[each])}".strip() for each, text in groups["effects"].items()
     }
     for title, entries in (groups if name is None else _matching(groups, name)).items():
         echo(f"{title}:")
@@ -59,9 +56,7 @@ def _matching(groups: Mapping[str, Mapping[str, str]], name: str) -> Mapping[str
     from deepir.errors import ConfigError, nearest
 
     kinds = {title.partition(" ")[0]: title for title in groups}
-    if (
-        kind := next((each for each in kinds if each in (name, f"{name}s", f"{name[:-1]}ies")), None)
-    ) is not None:
+    if (kind := next((each for each in kinds if each in (name, f"{name}s", f"{name[:-1]}ies")), None)) is not None:
         return {kinds[kind]: groups[kinds[kind]]}
     held = {title: {n: text for n, text in each.items() if name in n} for title, each in groups.items()}
     if found := {title: each for title, each in held.items() if each}:
@@ -92,9 +87,7 @@ def check(
         _configuration(what, settings or [])
     elif Path(what).exists() or (not settings and ("*" in what or Path(what).suffix)):
         if wrong := next((each for each in settings or () if not each.startswith("data.")), None):
-            raise ConfigError(
-                f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}"
-            )
+            raise ConfigError(f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}")
         lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]))
         for line in lines:
             echo(line)
@@ -209,7 +202,5 @@ def _data(config: Config) -> list[str]:
 def _short(settings: Any) -> str:
     """A mapping in one line."""
     if isinstance(settings, dict):
-        return ", ".join(
-            f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items()
-        )
+        return ", ".join(f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items())
     return str(settings)

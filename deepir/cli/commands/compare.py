@@ -28,9 +28,7 @@ def compare(
         list[str] | None,
         typer.Argument(metavar="KEY=VALUE,VALUE", help="Settings; all combinations are run."),
     ] = None,
-    paper: Annotated[
-        bool, typer.Option("--paper", help="Also write paper.tex, paper.csv and paper.pdf.")
-    ] = False,
+    paper: Annotated[bool, typer.Option("--paper", help="Also write paper.tex, paper.csv and paper.pdf.")] = False,
     workers: Workers = None,
     scheduler: Scheduler = None,
     overwrite: Overwrite = False,
@@ -44,9 +42,7 @@ def compare(
     """
     plugins = load_plugins(plugin)
     command = ["compare", config, *(settings or ())]
-    return _sweep(
-        command, settings or (), [], workers, scheduler, overwrite=overwrite, plugins=plugins, paper=paper
-    )
+    return _sweep(command, settings or (), [], workers, scheduler, overwrite=overwrite, plugins=plugins, paper=paper)
 
 
 def batch(

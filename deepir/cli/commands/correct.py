@@ -31,9 +31,7 @@ def correct(
         Path | None,
         typer.Option(help="Correct many: FILE is a folder of recordings, or a list of them (.txt)."),
     ] = None,
-    shard: Annotated[
-        str, typer.Option(metavar="I/N", help="With --output-dir: the I-th of N parts.")
-    ] = "1/1",
+    shard: Annotated[str, typer.Option(metavar="I/N", help="With --output-dir: the I-th of N parts.")] = "1/1",
 ) -> int:
     """Correct a whole recording of a moving camera: deepir correct drive.avi.
 

@@ -26,9 +26,7 @@ def live(
     context: typer.Context,
     source: Annotated[
         str | None,
-        typer.Argument(
-            metavar="[FILE]", help="A recording; - for raw frames on standard input (data.raw=...)."
-        ),
+        typer.Argument(metavar="[FILE]", help="A recording; - for raw frames on standard input (data.raw=...)."),
     ] = None,
     settings: ReadingSettings = None,
     camera: Annotated[
@@ -37,16 +35,10 @@ def live(
     ] = None,
     output: Annotated[
         str | None,
-        typer.Option(
-            help="A .tif, or an .mp4 to look at; - for raw frames on standard output. Nothing unless given."
-        ),
+        typer.Option(help="A .tif, or an .mp4 to look at; - for raw frames on standard output. Nothing unless given."),
     ] = None,
-    rate: Annotated[
-        float, typer.Option(min=0.1, help="Frames a second at which a recording is played.")
-    ] = 30.0,
-    fast: Annotated[
-        bool, typer.Option("--fast", help="As fast as possible: frames wait for each estimate.")
-    ] = False,
+    rate: Annotated[float, typer.Option(min=0.1, help="Frames a second at which a recording is played.")] = 30.0,
+    fast: Annotated[bool, typer.Option("--fast", help="As fast as possible: frames wait for each estimate.")] = False,
     maps: Annotated[Path | None, typer.Option(help="Maps of this camera to begin with.")] = None,
     save_maps: Annotated[Path | None, typer.Option(help="Write the newest maps here at the end.")] = None,
     virtual: Annotated[
@@ -123,9 +115,7 @@ def _check(context: typer.Context, source: str | None, camera: str | None, *, pa
     from deepir.errors import ConfigError
 
     if (source is None) == (camera is None):
-        raise ConfigError(
-            "give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2"
-        )
+        raise ConfigError("give a recording, or a camera: deepir live drive.avi, or deepir live --camera v4l2")
     for option in () if page else OF_THE_PAGE:
         how = context.get_parameter_source(option)
         if how is not None and how.name == "COMMANDLINE":

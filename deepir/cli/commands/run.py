@@ -95,9 +95,7 @@ def report_result(result: Result, folder: Path) -> None:
     if (known := kelvin[np.isfinite(kelvin)]).size:
         low, high = known.min() - ZERO_CELSIUS, known.max() - ZERO_CELSIUS
         echo(f"temperatures {low:.2f} to {high:.2f} °C: {folder}/scene_kelvin.tiff")
-    echo(
-        f"results: {folder}/result.npz, {folder}/scene.tiff; to look at: {folder}/report.html, {folder}/summary.png"
-    )
+    echo(f"results: {folder}/result.npz, {folder}/scene.tiff; to look at: {folder}/report.html, {folder}/summary.png")
 
 
 def demo() -> None:

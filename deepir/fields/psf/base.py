@@ -95,9 +95,7 @@ class PSF(Field):
 
 def pixel_average(axis: Tensor, function: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
     """The mean of a function of (x, y) over the area of each pixel at `axis`, (n, n)."""
-    inside = (
-        torch.arange(POINTS_PER_PIXEL, dtype=axis.dtype, device=axis.device) + 0.5
-    ) / POINTS_PER_PIXEL - 0.5
+    inside = (torch.arange(POINTS_PER_PIXEL, dtype=axis.dtype, device=axis.device) + 0.5) / POINTS_PER_PIXEL - 0.5
     fine = (axis[:, None] + inside).flatten()
     return F.avg_pool2d(function(fine, fine[:, None])[None, None], POINTS_PER_PIXEL)[0, 0]
 

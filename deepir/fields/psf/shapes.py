@@ -29,9 +29,7 @@ class Gaussian(PSF):
 
     example_options: ClassVar = {"size": (60, 80), "sigma": 1.3}
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float = 1.0
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float = 1.0) -> None:
         super().__init__(shape, neutral, size, "sigma", sigma)
 
     @property
@@ -50,9 +48,7 @@ class RoundPSF(PSF):
 
     example_options: ClassVar = {"size": (60, 80), "radius": 2.2}
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], radius: float = 2.0) -> None:
         super().__init__(shape, neutral, size, "radius", radius)
 
 
@@ -69,9 +65,7 @@ class Airy(RoundPSF):
         axis = self._axis()
         v = FIRST_ZERO_OF_J1 * torch.hypot(axis, axis[:, None]) / width
         angle = (
-            math.pi
-            * torch.arange(1, N_QUADRATURE_NODES + 1, dtype=v.dtype, device=v.device)
-            / (N_QUADRATURE_NODES + 1)
+            math.pi * torch.arange(1, N_QUADRATURE_NODES + 1, dtype=v.dtype, device=v.device) / (N_QUADRATURE_NODES + 1)
         )
         # Gauss-Chebyshev quadrature of the second kind.
         amplitude = torch.cos(v[..., None] * angle.cos()) @ angle.sin().square()
@@ -88,9 +82,7 @@ class Defocus(RoundPSF):
 
     def kernel_of_width(self, width: Tensor) -> Tensor:
         """The normalised disc of a radius."""
-        found = pixel_average(
-            self._axis(), lambda x, y: ((width - (x**2 + y**2).sqrt()) / EDGE_WIDTH).sigmoid()
-        )
+        found = pixel_average(self._axis(), lambda x, y: ((width - (x**2 + y**2).sqrt()) / EDGE_WIDTH).sigmoid())
         return (found / found.sum()).expand(self.shape)
 
 
@@ -128,9 +120,7 @@ class MotionBlur(PSF):
 
         def line(x: Tensor, y: Tensor) -> Tensor:
             along, across = x * angle.cos() + y * angle.sin(), y * angle.cos() - x * angle.sin()
-            ends = ((width / 2 - along) / EDGE_WIDTH).sigmoid() - (
-                (-width / 2 - along) / EDGE_WIDTH
-            ).sigmoid()
+            ends = ((width / 2 - along) / EDGE_WIDTH).sigmoid() - ((-width / 2 - along) / EDGE_WIDTH).sigmoid()
             return ends * torch.exp(-((across / EDGE_WIDTH) ** 2) / 2)
 
         found = pixel_average(self._axis(), line)

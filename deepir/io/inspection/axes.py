@@ -27,16 +27,10 @@ DETECTORS = {(60, 80), (120, 160), (156, 208), (192, 256), (240, 320), (256, 320
 BLOCK_SIDE = 96  # samples along an axis that are compared
 LAGS = (1, 8)  # samples between those that are compared
 MIN_PERSISTENCE = 0.25  # correlation at the longer lag along the axis of frames, which hold one fixed pattern
-MIN_PERSISTENCE_RATIO = (
-    0.5  # of the correlations at the longer and the shorter lag; a scene's texture has less
-)
-MAX_OTHER_PERSISTENCE = (
-    0.5  # correlation at the longer lag along the first axis over that along the axis of frames
-)
+MIN_PERSISTENCE_RATIO = 0.5  # of the correlations at the longer and the shorter lag; a scene's texture has less
+MAX_OTHER_PERSISTENCE = 0.5  # correlation at the longer lag along the first axis over that along the axis of frames
 MAX_DIFFERENCE = 0.3  # of the correlations at the shorter lag along both axes of a frame
-MIN_TEXTURE = (
-    0.5  # correlation at the shorter lag along both axes of frames of a scene without a fixed pattern
-)
+MIN_TEXTURE = 0.5  # correlation at the shorter lag along both axes of frames of a scene without a fixed pattern
 MAX_MOVING_TEXTURE = 0.1  # the same along the axis of the frames, where that scene jumps
 
 

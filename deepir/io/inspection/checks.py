@@ -157,6 +157,4 @@ def crop(frames: np.ndarray[Any, Any], box: Sequence[int]) -> np.ndarray[Any, An
 
 def _check_side(height: int, width: int, source: str) -> None:
     if min(height, width) < MIN_FRAME_SIDE:
-        raise DataError(
-            f"{source}: {height} x {width} px is too small; at least {MIN_FRAME_SIDE} px on a side"
-        )
+        raise DataError(f"{source}: {height} x {width} px is too small; at least {MIN_FRAME_SIDE} px on a side")

@@ -41,9 +41,7 @@ def describe(burst: Frames) -> list[str]:
         frames = _without(frames, rows, axis=1)
     lines += torn_message(torn_frames(frames), len(frames))
     if np.isfinite(frames).any() and (empty := unrecorded_samples(frames)).any():
-        lines.append(
-            f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge"
-        )
+        lines.append(f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge")
         frames = np.where(empty, np.float32(np.nan), frames)
     if (drawn := drawn_pixels(frames)).any():
         lines += drawn_message(drawn)
@@ -74,9 +72,7 @@ def _unusable(burst: Frames, finite: Array) -> list[str]:
     frames = burst.frames
     lines = []
     if missing := frames.size - finite.size:
-        why = (
-            "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN, infinite or a fill value"
-        )
+        why = "colours, and none of the scene's" if burst.dtype == "uint8" else "NaN, infinite or a fill value"
         lines.append(f"{missing} sample(s) are {why} ({missing / frames.size:.2%})")
         if not has_neighbours(np.isfinite(frames)):
             lines.append("no sample has finite neighbours: keep the rows and columns that are there")
@@ -140,9 +136,7 @@ def temporal_noise(frames: Array) -> float:
     Source: the median estimate of Donoho and Johnstone, Ideal spatial adaptation by wavelet shrinkage (1994).
     """
     with np.errstate(invalid="ignore"):
-        first, second = (
-            each[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2] for each in _pairs(frames)
-        )
+        first, second = (each[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2] for each in _pairs(frames))
         d = second - first
         detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
     detail = np.abs(detail[np.isfinite(detail)])

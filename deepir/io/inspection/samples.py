@@ -24,9 +24,7 @@ FILL_VALUES = (
 UNSIGNED_FILL = 65535.0  # of 16-bit counts
 MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
 SAMPLES = 100_000  # that the range of the others is measured of
-FULL_SCALE_COUNTS = tuple(
-    2**bits - 1 for bits in (8, 10, 12, 14, 15, 16)
-)  # largest ones of common converters
+FULL_SCALE_COUNTS = tuple(2**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest ones of common converters
 CHANCE_COUNT = 20  # samples that may share an end of the range by chance
 PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
 NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
@@ -34,17 +32,13 @@ SAMPLED_FRAMES = 4  # frames that are inspected
 SAMPLED_SIDE = 512  # rows and columns of them
 MIN_HIGH_BYTES = 32  # values of the high byte from which it varies like a low byte
 MIN_BYTES_RATIO = 2.0  # values of the high byte over those of the low byte in samples of swapped bytes
-MAX_ROUGHNESS_RATIO = (
-    1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
-)
+MAX_ROUGHNESS_RATIO = 1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
 MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
 MAX_EXTENT, MAX_LIKELY_EXTENT = (
     22.0,
     20.0,
 )  # powers of two of samples whose bytes are swapped, and are not
-SIGNED_GAP = (
-    8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
-)
+SIGNED_GAP = 8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
 MAX_IN_GAP = 0.01  # share of the samples that may lie in it all the same
 
 
@@ -153,9 +147,7 @@ def saturated_samples(frames: Array) -> Array | None:
     for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
         there = frames == end
         passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
-        limit = (
-            end in FULL_SCALE_COUNTS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
-        )
+        limit = end in FULL_SCALE_COUNTS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
         if (passing and limit) or (passing >= CHANCE_COUNT and _piled_up(sign * frames, passing)):
             found[there] = sign
     return found if found.any() else None

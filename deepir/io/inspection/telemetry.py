@@ -12,17 +12,13 @@ MAX_TELEMETRY_ROWS = 4  # telemetry rows at one edge
 COMPARED_ROWS = 4  # picture rows next to them, with which they are compared
 ROUGHNESS_QUANTILE = 0.9  # quantile of a row's absolute differences that is its roughness
 MIN_ROUGHNESS_RATIO = 8.0  # roughness of a telemetry row over that of a picture row
-MIN_STEP_RATIO = (
-    16.0  # of a row of few words: its distance from the picture, and its largest step, over usual steps
-)
+MIN_STEP_RATIO = 16.0  # of a row of few words: its distance from the picture, and its largest step, over usual steps
 SAMPLED_FRAMES = 8  # frames that are inspected
 ROW_STRIDE = 8  # every n-th row of the middle of a frame is inspected
 Array = np.ndarray[Any, np.dtype[Any]]
 MIN_PART_ROWS = 8  # rows of either part
 BLOCK_SIDE = 4  # px, of blocks within those that a codec leaves as they were
-MAX_EQUAL_BLOCKS = (
-    0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
-)
+MAX_EQUAL_BLOCKS = 0.02  # share of them that repeat a neighbour's in the other part; above, a codec repeats rows too
 LISTED_FRAMES = 32  # that advice names one by one, at most
 MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
 
@@ -111,9 +107,7 @@ def torn_message(torn: dict[int, int], count: int) -> list[str]:
         return []
     some = ", ".join(f"{k} (at row {row})" for k, row in torn.items())
     rest = ", ".join(str(k) for k in range(count) if k not in torn)
-    advice = (
-        f"leave them out: data.frames=[{rest}]" if count <= LISTED_FRAMES else "leave them out by data.frames"
-    )
+    advice = f"leave them out: data.frames=[{rest}]" if count <= LISTED_FRAMES else "leave them out by data.frames"
     return [Message("torn-frames", f"torn frame(s), of two times above and below a row: {some}; {advice}")]
 
 

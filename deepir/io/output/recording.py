@@ -133,9 +133,7 @@ def _track(av: Any, container: Any, shape: tuple[int, ...]) -> Any:
     return track
 
 
-def open_writer(
-    path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any], palette: str, mapping: str
-) -> Any:
+def open_writer(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any], palette: str, mapping: str) -> Any:
     """`tiff` or `mp4`, by the name of `path`.
 
     Raises:

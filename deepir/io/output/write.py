@@ -79,9 +79,7 @@ def write_json(path: PathLike, content: Any) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def write_tiff(
-    path: PathLike, frames: np.ndarray[Any, Any], metadata: Mapping[str, Any] | None = None
-) -> None:
+def write_tiff(path: PathLike, frames: np.ndarray[Any, Any], metadata: Mapping[str, Any] | None = None) -> None:
     """Write (h, w) or (N, h, w) as float32 TIFF; ImageDescription holds `metadata` as JSON."""
     with atomic_file(path) as temporary:
         save_tiff(temporary, frames, metadata or {})

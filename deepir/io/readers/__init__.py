@@ -113,9 +113,7 @@ def known_reader(path: Path) -> Reader:
     """The same; `DataError` if there is none."""
     if (reader := find_reader(path)) is None:
         if path.suffix.lower() in suffixes():
-            raise DataError(
-                f"{path}: it does not begin as a {path.suffix} file does: damaged, or of another format"
-            )
+            raise DataError(f"{path}: it does not begin as a {path.suffix} file does: damaged, or of another format")
         raise DataError(
             f"{path}: not a format that deepir reads ({', '.join(suffixes())}, or a folder of pictures). "
             "Save it as .npz with an array `frames` (frames, height, width); a file of bare samples needs "
@@ -219,9 +217,7 @@ def choose_array(shapes: Mapping[str, tuple[int, ...]], path: Path, key: str | N
         single = [shapes[name] for name in pictures if len(shapes[name]) == 2]
         each = len(single) > 2 and len(single) == len(pictures) and len(set(single)) == 1
         advice = "They look like a frame each: join them, as numpy.stack does, and save one. " if each else ""
-        raise DataError(
-            f"{path}: which array is meant? Give its key (data.key). {advice}Arrays: {listing or 'none'}"
-        )
+        raise DataError(f"{path}: which array is meant? Give its key (data.key). {advice}Arrays: {listing or 'none'}")
     return pictures[0]
 
 

@@ -114,9 +114,7 @@ def _samples_of(path: Path, header: Path) -> Path:
     for name in (bare, *(bare.with_suffix(suffix) for suffix in SAMPLES_SUFFIXES)):
         if name.is_file():
             return name
-    raise DataError(
-        f"{header}: its samples are missing: {bare}, or the same with {', '.join(SAMPLES_SUFFIXES[:-1])}"
-    )
+    raise DataError(f"{header}: its samples are missing: {bare}, or the same with {', '.join(SAMPLES_SUFFIXES[:-1])}")
 
 
 def _known(frames: Array, fields: dict[str, str]) -> Array:

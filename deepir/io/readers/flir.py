@@ -120,9 +120,7 @@ def _joined_records(path: Path) -> Records:
     parts = _parts(path)
     numbers = [part[6] for part in parts]
     if numbers != list(range(parts[0][7] + 1)):
-        raise DataError(
-            f"{path}: damaged or truncated: of FLIR's {parts[0][7] + 1} segments it has {len(parts)}"
-        )
+        raise DataError(f"{path}: damaged or truncated: of FLIR's {parts[0][7] + 1} segments it has {len(parts)}")
     return read_records(b"".join(part[8:] for part in parts), path)[0]
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +44,7 @@ class Folder(Reader):
             _check_alike(files[0], stacks[0], file, stacks[-1])
             total += frames.nbytes
             if total > MAX_ARRAY_BYTES:
-                raise DataError(
-                    f"{path}: more than {MAX_ARRAY_BYTES // GIB} GiB of pictures; name fewer with a glob"
-                )
+                raise DataError(f"{path}: more than {MAX_ARRAY_BYTES // GIB} GiB of pictures; name fewer with a glob")
         return np.ma.concatenate(stacks) if any(map(np.ma.isMaskedArray, stacks)) else np.concatenate(stacks)
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
@@ -88,13 +87,22 @@ def burst_files(path: Path) -> list[Path]:
     if not entries:
         what = "no pictures in this folder" if path.is_dir() else "no file matches"
         raise DataError(f"{path}: {what} ({', '.join(readers.suffixes())} are read)")
-    return sorted(entries, key=natural_key)
+    return in_order(entries)
 
 
-def natural_key(path: Path) -> list[Any]:
-    """A sorting key that compares digits as numbers."""
-    parts = re.split("([0-9]+)", str(path))
-    return [int(part) if i % 2 else part.casefold() for i, part in enumerate(parts)]
+def in_order(files: Sequence[Path]) -> list[Path]:
+    """Files by the numbers in their names: nine digits and more are seconds with decimals, steps may be negative."""
+    ends = {file: re.fullmatch(r"(.*?)(-?)(\d+)", str(file.with_suffix(""))) for file in files}
+    steps, others = ({end[1] for end in ends.values() if end and end[2] == sign} for sign in ("-", ""))
+
+    def key(file: Path) -> list[Any]:
+        name, step, end = str(file.with_suffix("")), [], ends[file]
+        if end and end[1] in steps & others:
+            name, step = end[1], [Decimal(end[2] + end[3])]
+        parts = re.split(r"(\d{9,}\.\d+|\d+)", name.casefold())
+        return [Decimal(part) if i % 2 else part for i, part in enumerate(parts)] + step
+
+    return sorted(files, key=key)
 
 
 def _pictures(path: Path) -> list[Path]:
@@ -105,9 +113,7 @@ def _pictures(path: Path) -> list[Path]:
     files = [file for file in files if file in found or file.suffix.lower() in readers.suffixes()]
     plain = {file: reader.name for file, reader in found.items() if not reader.holds_raw_plane}
     if 0 < len(plain) < len(found):
-        warn_once(
-            f"{path}: {len(found) - len(plain)} pictures hold raw counts; {len(plain)} others are left out"
-        )
+        warn_once(f"{path}: {len(found) - len(plain)} pictures hold raw counts; {len(plain)} others are left out")
         return [file for file in files if file not in plain]
     if len(set(plain.values())) > 1:
         kinds = sorted({file.suffix for file in plain})

@@ -49,9 +49,7 @@ class Hdf5(Reader):
         try:
             with _dataset(path, key) as (data, _):
                 unit = _text(data.attrs, "units")
-                scale, zero = (
-                    _number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0))
-                )
+                scale, zero = (_number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0)))
         except DataError:  # several arrays, or none
             return None
         known = DEGREES.sub(lambda found: "" if found[0] in " _" else "deg", unit.lower())
@@ -93,9 +91,7 @@ def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
 
 def _known(array: Array, attributes: Any) -> Array:
     """Masked where samples hold a fill value that the file names or lie outside the range that it calls valid."""
-    named = [
-        np.asarray(attributes[name]).ravel() for name in ("_FillValue", "missing_value") if name in attributes
-    ]
+    named = [np.asarray(attributes[name]).ravel() for name in ("_FillValue", "missing_value") if name in attributes]
     lost = np.isin(array, np.concatenate(named)) if named else np.zeros(1, bool)
     low, high = np.asarray(attributes.get("valid_range", (np.nan, np.nan))).ravel()[:2]
     low, high = _number(attributes, "valid_min", low), _number(attributes, "valid_max", high)

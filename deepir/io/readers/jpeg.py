@@ -105,9 +105,7 @@ class DjiJpeg(Reader):
         for height, width in (_shown(path) or DETECTOR_SHAPES[0], *DETECTOR_SHAPES):
             if len(data) == 2 * height * width:
                 return np.frombuffer(data, "<u2").reshape(height, width)
-        raise DataError(
-            f"{path}: damaged or truncated: {len(data):,} bytes of raw plane fit no detector of DJI's"
-        )
+        raise DataError(f"{path}: damaged or truncated: {len(data):,} bytes of raw plane fit no detector of DJI's")
 
 
 class InfirayJpeg(Reader):

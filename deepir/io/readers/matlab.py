@@ -18,14 +18,10 @@ from deepir.io.readers import Array, Reader, can_be_frames, choose_array
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
 #: First number of a matrix in version 4, little- or big-endian: 1000 M + 10 P + T, P the type of values, T zero.
 MATLAB_4 = tuple(
-    struct.pack(f"{order}I", machine + 10 * kind)
-    for order, machine in (("<", 0), (">", 1000))
-    for kind in range(6)
+    struct.pack(f"{order}I", machine + 10 * kind) for order, machine in (("<", 0), (">", 1000)) for kind in range(6)
 )
 #: Bytes per value of MATLAB's numeric classes; cells, structures and function handles are not frames.
-BYTES_PER_VALUE = {"single": 4, "double": 8} | {
-    f"{sign}int{n}": n // 8 for sign in ("", "u") for n in (8, 16, 32, 64)
-}
+BYTES_PER_VALUE = {"single": 4, "double": 8} | {f"{sign}int{n}": n // 8 for sign in ("", "u") for n in (8, 16, 32, 64)}
 HEADER_BYTES = 128  # before the first element
 TAG_BYTES = 8  # of an element: type and length
 MATRIX, COMPRESSED = 14, 15  # types of elements: an array; one that is packed by zlib
@@ -116,9 +112,7 @@ def _check_array(head: bytes, order: str, path: Path) -> None:
         at = start + -(-length // 8) * 8 if start == at + TAG_BYTES else at + TAG_BYTES
     kind, _, _ = _tag(head, order, at)
     if kind not in NUMERIC_TYPES:
-        raise DataError(
-            f"{path}: damaged: an array of numbers whose values are of type {kind}, which no number has"
-        )
+        raise DataError(f"{path}: damaged: an array of numbers whose values are of type {kind}, which no number has")
 
 
 def _tag(head: bytes, order: str, at: int) -> tuple[int, int, int]:

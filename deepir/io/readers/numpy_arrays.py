@@ -116,9 +116,7 @@ def _stream_array(stream: IO[bytes], path: Path, size: int) -> Iterator[Array]:
     yield from read_planes(stream, path, dtype, (shape[0], *plane))
 
 
-def _chosen(
-    archive: zipfile.ZipFile, path: Path, key: str | None, *, at_once: bool = True
-) -> zipfile.ZipInfo:
+def _chosen(archive: zipfile.ZipFile, path: Path, key: str | None, *, at_once: bool = True) -> zipfile.ZipInfo:
     members, shapes = _members(archive, path, at_once=at_once), {}
     for name, info in members.items():
         with archive.open(info) as stream:
@@ -128,9 +126,7 @@ def _chosen(
 
 def _members(archive: zipfile.ZipFile, path: Path, *, at_once: bool = True) -> dict[str, zipfile.ZipInfo]:
     members = {
-        info.filename.removesuffix(".npy"): info
-        for info in archive.infolist()
-        if info.filename.endswith(".npy")
+        info.filename.removesuffix(".npy"): info for info in archive.infolist() if info.filename.endswith(".npy")
     }
     if not members:
         raise DataError(f"{path}: a zip archive without NumPy arrays; save the frames with np.savez")

@@ -128,9 +128,7 @@ def _count_directories(path: Path) -> int:
                     if stored > width:  # in their place is that of their list
                         (place,) = struct.unpack(order + offset, value)
                         if place + stored > len(data):
-                            raise DataError(
-                                f"{path}: truncated: its list of directories lies outside the file"
-                            )
+                            raise DataError(f"{path}: truncated: its list of directories lies outside the file")
                         offsets = data[place : place + stored]
                     waiting += [(sub, False) for sub in struct.unpack(below, offsets)]
             following = data[start + size : start + size + width]
@@ -179,9 +177,7 @@ def _nodata(part: Any) -> float | None:
 def _stack(pixels: Array, axes: str, path: Path, *, nodata: float | None = None) -> Array:
     """Frames (N, h, w) of the axes of a series; masked where samples are lost."""
     # Samples in separate planes are frames: the default of tifffile for a burst of three or four.
-    if (
-        axes.endswith("S") and pixels.shape[-1] <= 4
-    ):  # more than colours and alpha: frames along the last axis
+    if axes.endswith("S") and pixels.shape[-1] <= 4:  # more than colours and alpha: frames along the last axis
         pixels = to_grey(pixels, path)
     frames = pixels.reshape(-1, *pixels.shape[-2:])
     return frames if nodata is None else masked(frames, frames == nodata)

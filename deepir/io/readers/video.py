@@ -39,11 +39,7 @@ class Video(Reader):
 
     def sniff(self, head: bytes, path: Path) -> bool:
         """The signatures of AVI, MP4 and MOV, and Matroska."""
-        return (
-            head[4:8] == b"ftyp"
-            or (head[:4], head[8:12]) == (b"RIFF", b"AVI ")
-            or head[:4] == b"\x1aE\xdf\xa3"
-        )
+        return head[4:8] == b"ftyp" or (head[:4], head[8:12]) == (b"RIFF", b"AVI ") or head[:4] == b"\x1aE\xdf\xa3"
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Frame after frame (h, w)."""
@@ -92,9 +88,7 @@ class Video(Reader):
 
 def _grey_film(films: Sequence[Any]) -> Any:
     """The first grey one of the films in a file, as of a thermal camera beside another; else the first."""
-    grey = (
-        each for each in films if each.codec_context and str(each.codec_context.pix_fmt).startswith("gray")
-    )
+    grey = (each for each in films if each.codec_context and str(each.codec_context.pix_fmt).startswith("gray"))
     return next(grey, films[0])
 
 
@@ -133,9 +127,7 @@ def _y16_size(path: Path) -> tuple[int, int] | None:
 def _luma(frame: Any) -> Array:
     """The counts (h, w) of the luma plane of a YUV frame, as stored."""
     plane, name = frame.planes[0], frame.format.name
-    dtype = np.dtype(
-        "u1" if frame.format.components[0].bits <= 8 else ">u2" if name.endswith("be") else "<u2"
-    )
+    dtype = np.dtype("u1" if frame.format.components[0].bits <= 8 else ">u2" if name.endswith("be") else "<u2")
     stored = np.frombuffer(plane, dtype).reshape(plane.height, plane.line_size // dtype.itemsize)
     return stored[:, : plane.width].astype(dtype.newbyteorder("="))
 

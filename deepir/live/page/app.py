@@ -148,9 +148,7 @@ def _newest(session: Session) -> CorrectedFrame:
 
 
 def _download(content: bytes, name: str, kind: str) -> Response:
-    return Response(
-        content, media_type=kind, headers={"Content-Disposition": f'attachment; filename="{name}"'}
-    )
+    return Response(content, media_type=kind, headers={"Content-Disposition": f'attachment; filename="{name}"'})
 
 
 class Guard:

@@ -70,8 +70,7 @@ def _listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         reason = (error.strerror or str(error)).partition(" (")[0]
         raise ConfigError(
-            f"the page cannot be served at {host}, port {port}: {reason}; "
-            "choose another with --port or --host"
+            f"the page cannot be served at {host}, port {port}: {reason}; choose another with --port or --host"
         ) from error
 
 

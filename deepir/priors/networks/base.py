@@ -21,9 +21,7 @@ class Network(StandardisedField):
     start: Tensor
     can_represent = False
 
-    def __init__(
-        self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, residual: bool = False, bf16: bool = False) -> None:
         super().__init__(shape, neutral)
         self.residual, self.bf16 = residual, bf16
         #: Initial scene, in units of the network.

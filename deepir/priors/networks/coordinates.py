@@ -88,9 +88,7 @@ class Siren(Coordinates):
 class Gabor(nn.Module):
     """A complex linear layer, then `exp(j omega z - |s z|²)`; real and imaginary parts lie side by side."""
 
-    def __init__(
-        self, inputs: int, outputs: int, omega: float, sharpness: float, *, real: bool = False
-    ) -> None:
+    def __init__(self, inputs: int, outputs: int, omega: float, sharpness: float, *, real: bool = False) -> None:
         super().__init__()
         self.omega, self.sharpness, self.real = omega, sharpness, real
         self.linear = nn.Linear(inputs, outputs if real else 2 * outputs)

@@ -23,9 +23,7 @@ MIN_FUSED_CHANNELS = 128
 MIN_FUSED_PIXELS = 1024
 
 
-def upsample_join_convolve(
-    skip: Tensor, deep: Tensor, norm: nn.BatchNorm2d, convolution: nn.Conv2d
-) -> Tensor:
+def upsample_join_convolve(skip: Tensor, deep: Tensor, norm: nn.BatchNorm2d, convolution: nn.Conv2d) -> Tensor:
     """`convolution(norm([skip, upsampled deep]))`, with bilinear upsampling and reflected borders.
 
     Args:
@@ -128,9 +126,7 @@ class Padded(nn.Conv2d):
 class Convolution(nn.Sequential):
     """Padded convolution, batch normalisation with the batch's statistics, leaky rectifier."""
 
-    def __init__(
-        self, inputs: int, outputs: int, size: int, *, stride: int = 1, pad: Pad = "reflect"
-    ) -> None:
+    def __init__(self, inputs: int, outputs: int, size: int, *, stride: int = 1, pad: Pad = "reflect") -> None:
         super().__init__(
             Padded(inputs, outputs, size, stride, pad),
             nn.BatchNorm2d(outputs, track_running_stats=False),

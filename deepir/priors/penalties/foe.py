@@ -66,9 +66,7 @@ class FoE(SmoothedNorm):
     costs: Tensor
     tails: Tensor
 
-    def __init__(
-        self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.09
-    ) -> None:
+    def __init__(self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.09) -> None:
         super().__init__(shape, weight=weight, rounding=rounding)
         for name, value in zip(("filters", "costs", "tails"), _shipped()(), strict=True):
             self.register_buffer(name, value.clone(), persistent=False)
@@ -84,9 +82,7 @@ class FoE(SmoothedNorm):
             from deepir.kernels.gradients import experts
 
             learned = (self.filters, self.costs, tails)
-            energy: Tensor = CompiledEnergy.apply(
-                value, self.weight_map, experts, *learned, float(self.epsilon)
-            )
+            energy: Tensor = CompiledEnergy.apply(value, self.weight_map, experts, *learned, float(self.epsilon))
             return energy
         return foe_energy(value, self.weight_map, self.filters, self.costs, tails, self.epsilon)
 

@@ -82,9 +82,7 @@ class SmoothedNorm(SpatiallyWeighted):
     #: Length that costs one nat at the default weight, noise standard deviations.
     scale: ClassVar[float]
 
-    def __init__(
-        self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.1
-    ) -> None:
+    def __init__(self, shape: Shape | None = None, *, weight: float | None = None, rounding: float = 0.1) -> None:
         super().__init__(shape, weight=weight)
         check_positive(rounding=rounding)
         self.rounding = rounding
@@ -116,9 +114,7 @@ class TV(SmoothedNorm):
         if is_compiled(value):
             from deepir.kernels.gradients import total_variation
 
-            energy: Tensor = CompiledEnergy.apply(
-                value, self.weight_map, total_variation, float(self.epsilon)
-            )
+            energy: Tensor = CompiledEnergy.apply(value, self.weight_map, total_variation, float(self.epsilon))
             return energy
         return self.smoothed_l1(squared_gradient(value))
 
@@ -153,9 +149,7 @@ class HuberTV(SpatiallyWeighted):
     It makes no stairs of slopes, as TV does (Werlberger et al. 2009, "Anisotropic Huber-L1 optical flow").
     """
 
-    def __init__(
-        self, shape: Shape | None = None, *, weight: float | None = None, threshold: float = 1.0
-    ) -> None:
+    def __init__(self, shape: Shape | None = None, *, weight: float | None = None, threshold: float = 1.0) -> None:
         super().__init__(shape, weight=weight)
         check_positive(threshold=threshold)
         self.threshold = threshold
@@ -165,9 +159,7 @@ class HuberTV(SpatiallyWeighted):
         d = self.threshold / self.weight.clamp(min=1e-12)
         squared = squared_gradient(value)
         linear = squared.clamp(min=d.square().to(squared)).sqrt() - d / 2
-        return (self.weight_map * torch.where(squared < d.square(), squared / (2 * d), linear)).sum(
-            dtype=torch.float64
-        )
+        return (self.weight_map * torch.where(squared < d.square(), squared / (2 * d), linear)).sum(dtype=torch.float64)
 
     def default_weight(self, sigma: float) -> float:
         """One nat for a step of `TV.scale` standard deviations."""
@@ -192,9 +184,7 @@ class TGV(SmoothedNorm):
     adapts = False  # not tested with a weight map
     unit: Tensor
 
-    def __init__(
-        self, shape: Shape, *, weight: float | None = None, ratio: float = 1.0, rounding: float = 0.1
-    ) -> None:
+    def __init__(self, shape: Shape, *, weight: float | None = None, ratio: float = 1.0, rounding: float = 0.1) -> None:
         super().__init__(shape, weight=weight, rounding=rounding)
         check_positive(ratio=ratio)
         self.ratio = ratio

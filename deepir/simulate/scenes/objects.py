@@ -11,9 +11,7 @@ from scipy import fft
 Point = tuple[float, float]
 
 
-def fractal_noise(
-    rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0
-) -> np.ndarray:
+def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0) -> np.ndarray:
     """Noise of unit variance with amplitude ~ 1 / frequency**slope.
 
     Args:
@@ -53,25 +51,19 @@ class Canvas:
         """A uniform random number."""
         return float(self.rng.uniform(low, high))
 
-    def _window(
-        self, points: Sequence[Point], margin: float
-    ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
+    def _window(self, points: Sequence[Point], margin: float) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
         """The part of the array around some points, which is painted, and its coordinates x and y."""
         low = (np.min(points, axis=0) - margin) * self.shape[0] - 1
         high = (np.max(points, axis=0) + margin) * self.shape[0] + 2
         (x0, y0), (x1, y1) = np.maximum(low, 0).astype(int), np.maximum(high, 0).astype(int)
         return (slice(y0, y1), slice(x0, x1)), self.x[None, x0:x1], self.y[y0:y1, None]
 
-    def _cover(
-        self, at: tuple[slice, slice], distance: np.ndarray, value: np.ndarray | float, rough: float
-    ) -> None:
+    def _cover(self, at: tuple[slice, slice], distance: np.ndarray, value: np.ndarray | float, rough: float) -> None:
         """Paint where the signed distance is negative, with an edge one pixel wide."""
         alpha = np.clip(0.5 - distance * self.shape[0], 0, 1)
         self.image[at] += alpha * (value + rough * self.rough[at] - self.image[at])
 
-    def polygon(
-        self, points: Sequence[Point], value: float, *, warmer: float = 0.0, rough: float = 0.01
-    ) -> None:
+    def polygon(self, points: Sequence[Point], value: float, *, warmer: float = 0.0, rough: float = 0.01) -> None:
         """A convex polygon, `warmer` at its lower end than at its upper."""
         at, x, y = self._window(points, 0)
         p, q = np.asarray(points, float), np.roll(np.asarray(points, float), -1, axis=0)
@@ -87,9 +79,7 @@ class Canvas:
         """An upright rectangle from its upper left corner."""
         self.polygon([(x, y), (x + w, y), (x + w, y + h), (x, y + h)], value, **look)
 
-    def rod(
-        self, p: Point, q: Point, r: float, value: float, *, taper: float = 1.0, limb: float = 0.0
-    ) -> None:
+    def rod(self, p: Point, q: Point, r: float, value: float, *, taper: float = 1.0, limb: float = 0.0) -> None:
         """A line with round ends, `taper` times as thick at q; `limb` colder at its rim, like a pipe."""
         at, x, y = self._window([p, q], r * max(1.0, taper))
         off, along = distance_from_line(x, y, p, q)

@@ -103,11 +103,7 @@ def test_a_channel_that_is_constant_has_no_variance_in_bfloat16():
     (convolution, *_), norm = net.rise[0][0], net.join[0]
     deep = torch.rand(6, 1, 1).bfloat16().expand(1, 6, 4, 4)
     with torch.autocast("cpu", torch.bfloat16):
-        assert (
-            upsample_join_convolve(torch.rand(1, 3, 8, 8).bfloat16(), 3 * deep, norm, convolution)
-            .isfinite()
-            .all()
-        )
+        assert upsample_join_convolve(torch.rand(1, 3, 8, 8).bfloat16(), 3 * deep, norm, convolution).isfinite().all()
 
 
 def test_perturbed_input_is_drawn_anew_for_each_gradient_and_never_for_a_result():
@@ -122,9 +118,7 @@ def test_the_layers_of_a_siren_keep_the_distribution_of_their_values():
     field = published("siren_official")
     x = field.points
     for i, layer in enumerate(each for each in field.net if isinstance(each, Sine)):
-        before = (
-            layer.omega * x @ layer.linear.weight.T
-        )  # biases are left as they are, as in the published code
+        before = layer.omega * x @ layer.linear.weight.T  # biases are left as they are, as in the published code
         x = layer(x)
         if i > 0:
             assert float(before.std().detach()) == pytest.approx(1.0, abs=0.15)
@@ -197,17 +191,13 @@ def test_bfloat16_changes_a_picture_by_little_and_leaves_parameters_float32():
     assert all(p.dtype == torch.float32 for p in field.parameters())
 
 
-@pytest.mark.parametrize(
-    ("kind", "options"), [(DIP, {"width": 0}), (Grid, {"levels": 0}), (Siren, {"omega": -1.0})]
-)
+@pytest.mark.parametrize(("kind", "options"), [(DIP, {"width": 0}), (Grid, {"levels": 0}), (Siren, {"omega": -1.0})])
 def test_options_are_checked(kind, options):
     with pytest.raises(ValueError, match="must be"):
         kind((1, 1, 8, 9), **options)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name, each in components("field").items() if issubclass(each, Network)]
-)
+@pytest.mark.parametrize("name", [name for name, each in components("field").items() if issubclass(each, Network)])
 def test_scenes_of_their_own_are_drawn_each(name):
     """And as many steps: one network may draw them all."""
     field = components("field")[name]((3, 1, 22, 26))

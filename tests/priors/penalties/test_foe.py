@@ -32,18 +32,14 @@ def reference(x, penalty):
     for kernel, cost, tail in zip(penalty.filters, penalty.costs, penalty.tails, strict=True):
         length = np.hypot(correlate(x, kernel.double().numpy())[inside], e) - e
         t = float(tail) / weight
-        total += (
-            penalty.weight_map.numpy()[inside] * float(cost) * 2 * t * (np.sqrt(1 + length / t) - 1)
-        ).sum()
+        total += (penalty.weight_map.numpy()[inside] * float(cost) * 2 * t * (np.sqrt(1 + length / t) - 1)).sum()
     return total
 
 
 @pytest.mark.parametrize("weight", [0.3, 2.0])
 def test_the_energy_is_the_references(weight):
     penalty = varied((20, 24), weight=weight)
-    assert float(penalty.energy(picture())) == pytest.approx(
-        reference(picture()[0, 0].numpy(), penalty), rel=1e-6
-    )
+    assert float(penalty.energy(picture())) == pytest.approx(reference(picture()[0, 0].numpy(), penalty), rel=1e-6)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
@@ -86,8 +82,7 @@ def test_white_noise_on_a_picture_is_taken_off_better_than_by_total_variation(no
     def error(kind):
         # Of white noise, not of a spline's coefficients: at the best of five weights each.
         return min(
-            float((denoised(kind(weight=w / noise)) - truth).square().mean())
-            for w in (0.2, 0.3, 0.45, 0.7, 1.0)
+            float((denoised(kind(weight=w / noise)) - truth).square().mean()) for w in (0.2, 0.3, 0.45, 0.7, 1.0)
         )
 
     def denoised(penalty):
@@ -107,9 +102,7 @@ def test_white_noise_on_a_picture_is_taken_off_better_than_by_total_variation(no
 
 def test_its_stiffness_is_that_of_its_second_derivatives():
     penalty, x = FoE(weight=0.5), picture((24, 24)).float().double()
-    wave = torch.cos(1.3 * torch.arange(24, dtype=torch.float64))[:, None] * torch.ones(
-        24, dtype=torch.float64
-    )
+    wave = torch.cos(1.3 * torch.arange(24, dtype=torch.float64))[:, None] * torch.ones(24, dtype=torch.float64)
     wave = wave[None, None]
     _, stiffness = penalty.mean_curvature(x)
     steep = stiffness * float(wave.diff(dim=-2).square().sum())

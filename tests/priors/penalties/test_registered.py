@@ -106,9 +106,7 @@ def test_the_natural_weight_belongs_to_the_units(name):
     weight = PENALTIES[name].example().default_weight
     assert weight(0.1) > 0
     if name in (*OF_GRADIENTS, "foe"):
-        one, other = (
-            float(PENALTIES[name].example(weight=weight(0.1 * s))(s * picture())) for s in (1.0, 1e3)
-        )
+        one, other = (float(PENALTIES[name].example(weight=weight(0.1 * s))(s * picture())) for s in (1.0, 1e3))
         assert one == pytest.approx(other, rel=1e-5)
 
 
@@ -135,9 +133,7 @@ def test_penalties_of_values_are_zero_at_their_center(name):
 
 @pytest.mark.parametrize("name", REFERENCES)
 @settings(max_examples=30, deadline=None)
-@given(
-    seeds=st.tuples(st.integers(0, 99), st.integers(100, 199)), t=st.floats(0, 1), scale=st.floats(0.01, 100)
-)
+@given(seeds=st.tuples(st.integers(0, 99), st.integers(100, 199)), t=st.floats(0, 1), scale=st.floats(0.01, 100))
 def test_the_shipped_penalties_are_convex_and_not_negative(name, seeds, t, scale):
     penalty = PENALTIES[name].example(weight=1.5)
     a, b = (scale * picture(seed) for seed in seeds)
