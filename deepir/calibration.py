@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.samples import as_float32
+from deepir.arrays.samples import as_float32, pattern_outliers
 from deepir.errors import DataError
 from deepir.io import readers, write_npz
 from deepir.io.inspection.samples import FULL_SCALE_COUNTS
@@ -168,10 +168,6 @@ def maps_from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Corr
         DataError: The flats differ in size or have the same temperature; no pixel has a value in all; or most pixels
             deviate from the others.
     """
-    import torch  # not above: `deepir --help` and `deepir apply` do without
-
-    from deepir.effects.bad_pixels import pattern_outliers
-
     for k, flat in enumerate(flats):
         if flat.shape != flats[0].shape:
             sizes = [" x ".join(map(str, each.shape)) for each in (flat, flats[0])]
@@ -195,8 +191,7 @@ def maps_from_flats(flats: Sequence[Array], sources: Sequence[str] = ()) -> Corr
     offset = stack.mean(axis=0) - gain * levels.mean()
     bad = ~known | (np.abs(gain - 1) > MAX_GAIN_DEVIATION)
     for each in (gain, offset):
-        pattern, good = (torch.from_numpy(array)[None, None] for array in (each, ~bad))
-        bad = bad | pattern_outliers(pattern, good).numpy()[0, 0]
+        bad = bad | pattern_outliers(each, ~bad)
     if bad.mean() > MAX_BAD_SHARE:
         raise DataError(
             f"{100 * bad.mean():.0f}% of the pixels answer unlike the others: flat recordings show something uniform, "

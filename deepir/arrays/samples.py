@@ -1,4 +1,4 @@
-"""Samples of frames as float32, and the autocorrelation of maps."""
+"""Samples of frames as float32; the autocorrelation of maps, and their outliers."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ MAD_TO_SIGMA = 1.4826
 CHI_SQUARED_MEDIAN = MAD_TO_SIGMA**-2  # of one degree of freedom
 #: Largest lag along an axis, px.
 MAX_LAG = 50
+OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a pixel is no part of it
+ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
 
 
 def autocorrelation(pattern: Array, second: Array, good: Array) -> Array:
@@ -41,3 +43,19 @@ def as_float32(frame: Array) -> Array:
     with np.errstate(over="ignore"):
         samples: Array = np.ma.filled(frame.astype(np.float32, order="C"), np.nan)
     return samples
+
+
+def pattern_outliers(pattern: Array, known: Array) -> Array:
+    """Pixels whose pattern (h, w) is far from what their neighbours' lets expect, bool; columns and rows may differ."""
+    from deepir.kernels.median_filter import median_filter
+
+    apart = pattern
+    for axis in (1, 0):
+        lines = np.where(known, apart, np.median(apart[known])) if known.any() else apart
+        apart = apart - np.median(lines, axis=axis, keepdims=True)
+    apart = np.abs(apart - median_filter(apart, 3))
+    differ = apart[known & (apart > 0)]
+    if differ.size < apart.size / 4:  # most pixels are exactly alike: nothing to compare with
+        return np.zeros_like(known)
+    limit = OUTLIER_DEVIATION * MAD_TO_SIGMA * np.median(differ)
+    return np.asarray(known & (apart > limit) & (apart > ISOLATION * median_filter(apart, 3)))

@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from scipy.special import chdtri
 from torch import Tensor
 
-from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.samples import ISOLATION, MAD_TO_SIGMA
 from deepir.arrays.statistics import subsample
 from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, InitialEstimate
@@ -23,11 +23,9 @@ from deepir.estimation.residuals import temporal_mean
 from deepir.messages import Message
 from deepir.registry import register
 
-OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a pixel is no part of it
 DEAD_DEVIATION = 4.0  # the same of a static pixel
 DEFECT_MISFIT = 12.0  # mean squared residual over the frames, in units of the noise
 MAX_MISFIT = 100.0  # squared residual at which that of one sample is clipped: one frame makes no defect
-ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
 MIN_REGION = 0.01  # share of the pixels: fewer are no region
 STATIC_PROBABILITY = 1e-3  # at which noise alone varies as little, or as much, over the frames
 CROWD_SHARE = 0.5  # of a pixel's surroundings that stand still before a scene that moves, where it is no chance
@@ -35,24 +33,6 @@ EXPECTED_CHANGE = 9.0  # variance over the frames, in units of the noise, of the
 RIM_SHARE = 0.5  # of the rim of a static region that is overlay, for all of it to be
 LINE_SAMPLES = 128  # pixels of a line for its median
 CROWD_MISFIT = 2.0  # mean squared residual of a neighbourhood, from which its samples are doubted
-
-
-@torch.no_grad()
-def pattern_outliers(pattern: Tensor, known: Tensor) -> Tensor:
-    """Pixels whose pattern (1, 1, h, w) is far from what their neighbours' lets expect, bool; columns may differ."""
-    apart = pattern
-    for axis in (-2, -1):
-        apart = apart - line_median(apart, known, axis)
-    apart = apart - median_filter(apart)
-    differ = apart[known & (apart != 0)].abs()
-    if differ.numel() < apart.numel() / 4:  # most pixels are exactly alike: nothing to compare with
-        return torch.zeros_like(known)
-    apart = apart.abs()
-    return (
-        known
-        & (apart > OUTLIER_DEVIATION * MAD_TO_SIGMA * differ.median())
-        & (apart > ISOLATION * median_filter(apart))
-    )
 
 
 @torch.no_grad()

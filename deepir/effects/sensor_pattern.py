@@ -16,8 +16,8 @@ import torch
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
+from deepir.arrays.samples import pattern_outliers
 from deepir.arrays.statistics import masked_values, median_sigma, robust_std, subsample
-from deepir.effects.bad_pixels import pattern_outliers
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import line_noise_fields, temporal_mean
 from deepir.estimation.variance_components import (
@@ -75,7 +75,9 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     known = usable.any(0, keepdim=True)
     # Of the median, too: one frame does not condemn a pixel.
     middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
-    problem.precision.mul_(~(pattern_outliers(pattern, known) & pattern_outliers(middle, known)))
+    maps = [each[0, 0].numpy(force=True) for each in (pattern, middle, known)]
+    outliers = pattern_outliers(maps[0], maps[2]) & pattern_outliers(maps[1], maps[2])
+    problem.precision.mul_(~torch.from_numpy(outliers).to(known.device))
 
 
 @torch.no_grad()

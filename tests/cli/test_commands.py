@@ -55,10 +55,12 @@ def test_a_burst_is_described_and_a_run_analysed_without_torch(folder):
 def test_a_recording_is_corrected_without_torch(folder):
     recording = simulate_recording(RecordingSettings(kind="pan", n_frames=40, shape=(96, 112)), seed=1)
     np.savez("pan.npz", frames=recording.frames)
+    np.savez("flat.npz", frames=np.random.default_rng(0).normal(8000, 30, (4, 96, 112)))
     code = (
         "import sys; sys.modules.update(torch=None, kornia=None); from deepir.cli import main; "
         "apply = ['apply', 'pan_corrected_maps.npz', 'pan.npz', '--output', 'a.tif']; "
-        "sys.exit(main(['correct', 'pan.npz']) or main(apply))"
+        "flats = ['calibrate', 'maps.npz', 'flat.npz']; "
+        "sys.exit(main(['correct', 'pan.npz']) or main(apply) or main(flats))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
