@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA, pattern_outliers
 from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
-from deepir.recording.defective_pixels import noise_deviation
+from deepir.recording.defective_pixels import noise_deviation, of_neighbours
 from deepir.recording.joint_solve import LowOrderSystem, low_order_step
 from deepir.recording.keyframes import spread
 from deepir.recording.modes import (
@@ -23,6 +23,7 @@ from deepir.recording.modes import (
     PatternPrior,
     block_sums,
     dct,
+    group_power,
     idct,
     low_order_equations,
     mode_radius,
@@ -137,9 +138,18 @@ def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[LowOr
 
 def fine_part(one: Array, other: Array) -> Array:
     """The fine part (h, w) of an offset that two patterns share, estimated from different stretches of a recording."""
-    first, second = dct(one.astype(float)), dct(other.astype(float))
-    share = shared_share(first, second) * (mode_radius(one.shape) >= RADIUS)
-    return _stationary(idct(share * (first + second) / 2))
+    # A spike, as of a defective pixel, is in all modes: it is taken off before, and put back.
+    spikes = pattern_outliers((one + other) / 2, np.ones(one.shape, bool))
+    first, second = (dct(np.where(spikes, of_neighbours(each[None])[0], each)) for each in (one, other))
+    mean, fine = (first + second) / 2, mode_radius(one.shape) >= RADIUS
+    # What scenes have in common is in both halves, and grows with the period more than a pattern does.
+    share = shared_share(first, second) * fine
+    prior = PatternPrior(mean).start[1:, 1:]
+    share[1:, 1:] *= np.where(
+        prior > prior.min(), np.minimum(1, prior / np.maximum(group_power(mean)[1:, 1:], 1e-30)), 1
+    )
+    offset = idct(fine * dct(_stationary(idct(share * mean))))
+    return np.asarray(offset + np.where(spikes, (one + other) / 2 - idct(mean), 0.0))
 
 
 def _stationary(offset: Array) -> Array:
