@@ -23,11 +23,11 @@ from deepir.recording.modes import (
     PatternPrior,
     block_sums,
     dct,
-    group_power,
     idct,
     low_order_equations,
     mode_radius,
     shared_share,
+    without_scene,
 )
 
 Array = np.ndarray[Any, Any]
@@ -142,13 +142,8 @@ def fine_part(one: Array, other: Array) -> Array:
     spikes = pattern_outliers((one + other) / 2, np.ones(one.shape, bool))
     first, second = (dct(np.where(spikes, of_neighbours(each[None])[0], each)) for each in (one, other))
     mean, fine = (first + second) / 2, mode_radius(one.shape) >= RADIUS
-    # What scenes have in common is in both halves, and grows with the period more than a pattern does.
     share = shared_share(first, second) * fine
-    prior = PatternPrior(mean).start[1:, 1:]
-    share[1:, 1:] *= np.where(
-        prior > prior.min(), np.minimum(1, prior / np.maximum(group_power(mean)[1:, 1:], 1e-30)), 1
-    )
-    offset = idct(fine * dct(_stationary(idct(share * mean))))
+    offset = idct(fine * dct(_stationary(idct(share * without_scene(mean)))))
     return np.asarray(offset + np.where(spikes, (one + other) / 2 - idct(mean), 0.0))
 
 

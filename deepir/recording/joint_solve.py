@@ -18,7 +18,7 @@ from scipy import linalg
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.recording.burst import SHIFT_ERROR, Burst
-from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, idct
+from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, idct, without_scene
 
 Array = np.ndarray[Any, Any]
 
@@ -87,8 +87,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         low_order: part of long periods, and its variance, (h, w) each, found already; None: they are estimated.
     """
     size = bursts[0].frames.shape[1:]
-    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
-    prior = PatternPrior(dct(start))
+    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), dct(start.astype(float))
+    prior, start = PatternPrior(start), idct(without_scene(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low

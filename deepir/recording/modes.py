@@ -65,8 +65,7 @@ class PatternPrior:
         radius, longer = mode_radius(modes.shape), max(modes.shape)
         finest = modes[radius > longer / 2]
         pixel_variance = max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12)
-        growth = np.maximum(1, (2 * longer / WHITE_PERIOD / np.maximum(radius, 1)) ** 2)
-        self.start = pixel_variance * growth
+        self.start = pixel_variance * _growth(modes.shape)
         self.start[0, 0] = 1e-9 * pixel_variance
         self.variance = self.start.copy()
 
@@ -107,6 +106,25 @@ def group_power(modes: Array) -> Array:
     groups = mode_groups(modes.shape).ravel()
     mean = np.bincount(groups, modes.ravel() ** 2) / np.maximum(np.bincount(groups), 1)
     return np.asarray(mean[groups].reshape(modes.shape))
+
+
+def _growth(size: Sequence[int]) -> Array:
+    """Variance (h, w) of each mode of a pattern, relative to that of the finest, at most."""
+    return np.maximum(1, (2 * max(size) / WHITE_PERIOD / np.maximum(mode_radius(size), 1)) ** 2)
+
+
+def without_scene(modes: Array) -> Array:
+    """Modes (h, w) of a pattern, shrunk where scenes are in them, which grow with the period more than a pattern does.
+
+    The finest pixels', columns' and rows' modes tell how strong the others are at most.
+    """
+    kinds, growth = mode_groups(modes.shape) % 3, _growth(modes.shape)
+    bound = growth.copy()
+    for kind in range(3):
+        finest = modes[(kinds == kind) & (mode_radius(modes.shape) > max(modes.shape) / 2)]
+        bound[kinds == kind] *= np.median(finest**2) / CHI_SQUARED_MEDIAN if finest.size else 1
+    share = np.minimum(1, bound / np.maximum(group_power(modes), 1e-30))
+    return modes * np.where(growth > 1, share, 1)
 
 
 class LowOrderModes:
