@@ -27,7 +27,6 @@ from deepir.recording.modes import (
     low_order_equations,
     mode_radius,
     shared_share,
-    without_scene,
 )
 
 Array = np.ndarray[Any, Any]
@@ -143,7 +142,7 @@ def fine_part(one: Array, other: Array) -> Array:
     first, second = (dct(np.where(spikes, of_neighbours(each[None])[0], each)) for each in (one, other))
     mean, fine = (first + second) / 2, mode_radius(one.shape) >= RADIUS
     share = shared_share(first, second) * fine
-    offset = idct(fine * dct(_stationary(idct(share * without_scene(mean)))))
+    offset = idct(fine * dct(_stationary(idct(share * mean))))
     return np.asarray(offset + np.where(spikes, (one + other) / 2 - idct(mean), 0.0))
 
 

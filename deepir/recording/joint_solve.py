@@ -88,7 +88,7 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
     """
     size = bursts[0].frames.shape[1:]
     modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), dct(start.astype(float))
-    prior, start = PatternPrior(start), idct(without_scene(start))
+    prior, start = PatternPrior(start), idct(start)
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low
@@ -99,7 +99,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
             burst.align(offset, gain, FREE_MOTION[number])
             burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
         told = np.any([burst.tells for burst in bursts], axis=0)
-        prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is
+        prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is, but for what the scene is in it
+        offset = idct(np.where(told, dct(offset), without_scene(dct(offset))))
         if not low_order:
             step, covariance = low_order_step(bursts, modes, prior, offset, gain)
             offset = offset + step

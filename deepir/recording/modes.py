@@ -27,6 +27,9 @@ Array = np.ndarray[Any, Any]
 PSEUDO_COUNT = 2.0  # modes that the variance of a band so far counts as
 #: Modes of a period longer than this, in px, start with a variance that grows with the square of the period.
 WHITE_PERIOD = 8.0
+#: Half periods over the longer side at which errors of two halves of a recording are twice as large in their mean as
+#: independent ones: on pieces of a drive (Lynred) and simulated drives and walks.
+COMMON_RADIUS = 23.0
 BLOCKS = 40  # blocks along the longer side of a frame
 MIN_WEIGHT = 1e-3  # of the best seen block's, from which a block counts
 SCALES = (1, 2, 4, 8)  # blocks over which the misfit is averaged
@@ -89,16 +92,16 @@ def mode_groups(size: Sequence[int]) -> Array:
 
 
 def shared_share(one: Array, other: Array) -> Array:
-    """Share (h, w), between 0 and 1, of the variance of the mean of two estimates that is common to both.
+    """Share (h, w), between 0 and 1, of the mean of two estimates of a pattern that is the pattern's.
+
+    Their errors are of the scenes, which have more in common the longer the period is.
 
     Args:
-        one, other: modes of two patterns with independent errors, (h, w).
+        one, other: modes of the two estimates, (h, w), from frames of different times.
     """
-    groups = mode_groups(one.shape).ravel()
-    common = np.bincount(groups, (one * other).ravel())
-    total = np.bincount(groups, ((one + other) ** 2 / 4).ravel())
-    share = np.clip(common / np.maximum(total, np.finfo(float).tiny), 0, 1)
-    return np.asarray(share[groups].reshape(one.shape))
+    common = 1 + (COMMON_RADIUS / np.maximum(mode_radius(one.shape), 1)) ** 2
+    error, total = common * group_power((one - other) / 2), group_power((one + other) / 2)
+    return np.asarray(np.clip(1 - error / np.maximum(total, np.finfo(float).tiny), 0, 1))
 
 
 def group_power(modes: Array) -> Array:
