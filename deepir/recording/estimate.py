@@ -197,14 +197,14 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
     if found is None:
         return None
     burst, numbers, shared = found
-    solution = solve_sensor([burst], shared)
+    solution = solve_sensor(burst, shared)
     if solution.motion_error > MAX_MOTION_ERROR or _misfit(burst, solution) > MAX_MISFIT:
         return None
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
         shared = shared_pattern(frames[numbers], usable[numbers])
-        solution = solve_sensor([burst], shared, (mean, variance))
+        solution = solve_sensor(burst, shared, (mean, variance))
     _, expected = burst.compared(solution.offset, solution.gain)
     burst.frames = recorded[numbers]  # with what bad pixels show
     shown = burst.corrected(solution.offset, solution.gain)

@@ -61,7 +61,7 @@ class SensorSolution:
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
         low_order: part of long periods of the offset, and its posterior variance, (h, w) each.
-        motion_error: of the frames, px, the largest of the bursts; inf where they do not register.
+        motion_error: of the frames, px; inf where they do not register.
         noise: of a sample, frames' units.
     """
 
@@ -78,45 +78,43 @@ class SensorSolution:
         return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, 0.0)
 
 
-def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
-    """Estimate offset and gain from bursts of one sensor.
+def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
+    """Estimate offset and gain of a sensor.
 
     Args:
-        bursts: each of one scene; their motion, levels and gains are refined in place.
+        burst: of one scene; its motion, levels and gains are refined in place.
         start: (h, w), an offset whose fine part is right; its low-order part is not used.
         low_order: part of long periods, and its variance, (h, w) each, found already; None: they are estimated.
     """
-    size = bursts[0].frames.shape[1:]
-    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), dct(start.astype(float))
-    prior, start = PatternPrior(start), idct(start)
+    size = burst.frames.shape[1:]
+    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
+    prior = PatternPrior(dct(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
     for number in range(FIRST_GAIN_ROUND if low_order else 0, ROUNDS):
-        for burst in bursts:
-            burst.align(offset, gain, FREE_MOTION[number])
-            burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
-        told = np.any([burst.tells for burst in bursts], axis=0)
+        burst.align(offset, gain, FREE_MOTION[number])
+        burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
+        told = burst.tells
         prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is, but for what the scene is in it
         offset = idct(np.where(told, dct(offset), without_scene(dct(offset))))
         if not low_order:
-            step, covariance = low_order_step(bursts, modes, prior, offset, gain)
+            step, covariance = low_order_step([burst], modes, prior, offset, gain)
             offset = offset + step
-        information, trusted = _information(bursts, size)
-        offset = _fine_steps(bursts, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
+        information, trusted = _information(burst)
+        offset = _fine_steps(burst, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         if number >= FIRST_GAIN_ROUND:
-            offset, gain, extrapolated = _with_gain(bursts, offset, gain)
+            offset, gain, extrapolated = _with_gain(burst, offset, gain)
     if not low_order:
         covariance = covariance + np.diag(modes.variances(np.where(told, 0.0, broad)))
         low_order = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
     fine_variance = np.where(told, posterior, broad)[fine].sum() / posterior.size + extrapolated
     deviation = np.sqrt(low_order[1] + fine_variance)
-    motion_error, noise = max(b.motion_error for b in bursts), float(np.median([b.noise for b in bursts]))
-    return SensorSolution(offset - offset.mean(), gain, deviation, low_order, motion_error, noise)
+    return SensorSolution(offset - offset.mean(), gain, deviation, low_order, burst.motion_error, burst.noise)
 
 
 def low_order_step(
@@ -250,41 +248,32 @@ def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
     return prior
 
 
-def _information(bursts: Sequence[Burst], size: Sequence[int]) -> tuple[Array, Array]:
+def _information(burst: Burst) -> tuple[Array, Array]:
     """Inverse variance (h, w) that the data give each mode of the offset, without its neighbours: a preconditioner.
 
     Second, the share (h, w) of the data's weight that errors leave which all frames have in common: those of the
     motion, and of interpolation where modes hardly move.
     """
-    total, most = np.zeros(tuple(size)), np.zeros(tuple(size))
-    for burst in bursts:
-        weight = float(burst.weights.sum(0).mean()) / burst.inflation * burst.phase_change
-        total += weight / (1 + weight * burst.common_error + INTERPOLATION_NOISE / burst.phase_change)
-        most += weight
-    return total, total / most
+    weight = float(burst.weights.sum(0).mean()) / burst.inflation * burst.phase_change
+    share = 1 / (1 + weight * burst.common_error + INTERPOLATION_NOISE / burst.phase_change)
+    return weight * share, share
 
 
 def _fine_steps(
-    bursts: Sequence[Burst],
-    offset: Array,
-    gain: Array,
-    prior: PatternPrior,
-    information: Array,
-    trusted: Array,
+    burst: Burst, offset: Array, gain: Array, prior: PatternPrior, information: Array, trusted: Array
 ) -> Array:
     """The offset after steps of conjugate gradients in its modes outside the low-order part."""
     inverse = np.where(trusted > 0, 1 / prior.variance, 0.0)
     precondition = np.where(trusted > 0, 1 / (information + 1 / prior.variance), 0.0)
 
-    def data(frames: Callable[[Burst], Array]) -> Array:
-        return np.asarray(trusted * dct(sum(each.score(frames(each)) for each in bursts) / gain))
+    def data(frames: Array) -> Array:
+        return np.asarray(trusted * dct(burst.score(frames) / gain))
 
     def normal(modes: Array) -> Array:
-        pattern = (idct(modes) / gain).astype(np.float32)[None]
-        return data(lambda _: pattern) + inverse * modes
+        return data((idct(modes) / gain).astype(np.float32)[None]) + inverse * modes
 
     modes = dct(offset)
-    rest = data(lambda each: each.corrected(offset, gain)) - inverse * modes
+    rest = data(burst.corrected(offset, gain)) - inverse * modes
     return np.asarray(idct(modes + _conjugate_gradient(normal, rest, precondition)))
 
 
@@ -305,7 +294,7 @@ def _conjugate_gradient(normal: Callable[[Array], Array], rest: Array, precondit
     return found
 
 
-def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Array, Array, Array]:
+def _with_gain(burst: Burst, offset: Array, gain: Array) -> tuple[Array, Array, Array]:
     """Offset and gain after a step by the slope of each pixel's residuals over the scene that it saw.
 
     Third, the variance (h, w) that the gain's adds to the offset's: a pixel that saw other levels extrapolates.
@@ -313,15 +302,11 @@ def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Arr
     The gain is one, a share of the offset, a part of each column, and one of each pixel; the share and the variances
     are those that suit the data.
     """
-    weight, first, second, rest, slope = (np.zeros(offset.shape) for _ in range(5))
-    for burst in bursts:
-        frames, seen = burst.compared(offset, gain)
-        weighted, missing = burst.weights / burst.inflation, frames - seen
-        weight += weighted.sum(0)
-        first += (weighted * seen).sum(0)
-        second += (weighted * seen**2).sum(0)
-        rest += (weighted * missing).sum(0)
-        slope += (weighted * missing * seen).sum(0)
+    frames, seen = burst.compared(offset, gain)
+    weighted, missing = burst.weights / burst.inflation, frames - seen
+    weight, first, second, rest, slope = (
+        (weighted * each).sum(0, dtype=float) for each in (1.0, seen, seen**2, missing, missing * seen)
+    )
     middle = first / np.maximum(weight, np.finfo(float).tiny)
     information = np.maximum(second - first * middle, 0.0)
     score = slope - rest * middle + information * (gain - 1)

@@ -30,6 +30,14 @@ def test_a_fine_part_is_found_in_frames_smaller_than_a_block(walk):
     assert alike(fine_part(walk.fine[:12], walk.fine[:12]), walk.fine[:12], ~walk.bad[:12]) > 0.8
 
 
+def test_spikes_stay_in_the_fine_part_and_scenes_do_not():
+    rng = np.random.default_rng(4)
+    pattern, spikes = rng.standard_normal((96, 128)), np.where(rng.random((96, 128)) < 1e-3, 300.0, 0.0)
+    scenes = [30 * ndimage.gaussian_filter(rng.standard_normal((96, 128)), 4) for _ in range(2)]
+    left = fine_part(*(pattern + spikes + each for each in scenes)) - pattern - spikes
+    assert left.std() < 0.5 < 2 * ndimage.gaussian_filter(np.mean(scenes, 0), 2).std()
+
+
 def judged(frames):
     """Pixels that are defective beside their neighbours, of frames without pattern."""
     return defective_pixels(frames, of_neighbours(frames), rounding_deviation(frames[0]))
