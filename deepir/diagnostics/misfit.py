@@ -9,7 +9,7 @@ the coefficients by the Bayesian information criterion, is the log-likelihood ra
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -80,39 +80,38 @@ def misfit(
     """
     if min(residual.shape[1:]) < BANDS:
         return CAUSES[0], 0.0, []
-    found = dict(causes(residual, precision, whole, flux, gain))
+    found = causes(residual, precision, whole, flux, gain)
     message = max(CAUSES, key=lambda each: float(found[each.name].sum()))
     nats, count = found[message.name], int(np.count_nonzero(whole))
     return message, float(nats.sum()) / max(1, count), np.flatnonzero(4 * nats > nats.max()).tolist()
 
 
-def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: Array) -> Iterator[tuple[str, Array]]:
+def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: Array) -> dict[str, Array]:
     """Evidence of each cause: name of its message, and nats of each frame (N,); arguments as of `misfit`."""
-    before, after = np.zeros_like(flux), np.zeros_like(flux)
-    after[:-1] = flux[1:] - flux[:-1]
-    before[1:] = -after[:-1]
+    before, after = -np.diff(flux, axis=0, prepend=flux[:1]), np.diff(flux, axis=0, append=flux[-1:])
     weight, white = _whitened(residual, whole)
     torn = np.maximum(*(_torn(change * gain * weight, white) for change in (before, after)))
-    yield "torn-frames", torn - np.median(torn)  # in a few frames: in all of them it is a lag
     weight, white = _whitened(residual, precision)
     response = gain * weight
-    contrast = (flux - flux.mean((1, 2), keepdims=True)) * response  # of a gain control, a part of which may be left
-    power = np.einsum("nij,nij->n", contrast, contrast).clip(1e-12)
-    white -= contrast * (np.einsum("nij,nij->n", contrast, white) / power)[:, None, None]
+    # Of a gain control's contrast a part may be left.
+    contrast = (flux - flux.mean((1, 2), keepdims=True)) * response
+    white -= contrast * ((contrast * white).sum((1, 2)) / (contrast**2).sum((1, 2)).clip(1e-12))[:, None, None]
     height, width = white.shape[1:]
     slope = [_along(flux, axis, (-0.5, 0, 0.5)) * response for axis in (1, 2)]
-    curvature = [_along(flux, axis, (1, -2, 1)) for axis in (1, 2)]
-    curvature.append(_along(_along(flux, 1, (-0.5, 0, 0.5)), 2, (-0.5, 0, 0.5)))
+    curvature = [_along(flux, axis, (1, -2, 1)) * response for axis in (1, 2)]
+    curvature.append(_along(_along(flux, 1, (-0.5, 0, 0.5)), 2, (-0.5, 0, 0.5)) * response)
     rows = (np.arange(height, dtype=np.float32) % 2 * 2 - 1)[:, None]
     chessboard = rows * (np.arange(width, dtype=np.float32) % 2 * 2 - 1)
-
-    yield "rows-displaced", np.maximum(*(_nats(slope, white, (n, 1)) for n in (BANDS, height)))
-    yield "interlaced-frames", _nats([each * rows for each in slope], white, (1, 1))
-    yield "subpage-frames", _nats([each * chessboard for each in slope], white, (1, 1))
-    yield "parallax", _nats(slope, white, (CELLS, CELLS))
-    yield "shading-changes", _nats([weight], white, (CELLS, CELLS))
-    yield "unsharp-frames", _nats([each * response for each in curvature], white, (1, 1), softer=True)
-    yield "thermal-lag", _nats([before * response], white, (1, 1))
+    return {
+        "torn-frames": torn - np.median(torn),  # in a few frames: in all of them it is a lag
+        "rows-displaced": np.maximum(*(_nats(slope, white, (n, 1)) for n in (BANDS, height))),
+        "interlaced-frames": _nats([each * rows for each in slope], white, (1, 1)),
+        "subpage-frames": _nats([each * chessboard for each in slope], white, (1, 1)),
+        "parallax": _nats(slope, white, (CELLS, CELLS)),
+        "shading-changes": _nats([weight], white, (CELLS, CELLS)),
+        "unsharp-frames": _nats(curvature, white, (1, 1), softer=True),
+        "thermal-lag": _nats([before * response], white, (1, 1)),
+    }
 
 
 def _whitened(residual: Array, precision: Array) -> tuple[Array, Array]:

@@ -75,9 +75,8 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     known = usable.any(0, keepdim=True)
     # Of the median, too: one frame does not condemn a pixel.
     middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
-    maps = [each[0, 0].numpy(force=True) for each in (pattern, middle, known)]
-    outliers = pattern_outliers(maps[0], maps[2]) & pattern_outliers(maps[1], maps[2])
-    problem.precision.mul_(~torch.from_numpy(outliers).to(known.device))
+    bad = [pattern_outliers(*(m[0, 0].numpy(force=True) for m in (each, known))) for each in (pattern, middle)]
+    problem.precision.mul_(~torch.from_numpy(bad[0] & bad[1]).to(known.device))
 
 
 @torch.no_grad()

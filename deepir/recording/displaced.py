@@ -141,8 +141,7 @@ def fine_part(one: Array, other: Array) -> Array:
     spikes = pattern_outliers((one + other) / 2, np.ones(one.shape, bool))
     first, second = (dct(np.where(spikes, of_neighbours(each[None])[0], each)) for each in (one, other))
     mean, fine = (first + second) / 2, mode_radius(one.shape) >= RADIUS
-    share = shared_share(first, second) * fine
-    offset = idct(fine * dct(_stationary(idct(share * mean))))
+    offset = idct(fine * dct(_stationary(idct(fine * shared_share(first, second) * mean))))
     return np.asarray(offset + np.where(spikes, (one + other) / 2 - idct(mean), 0.0))
 
 
@@ -152,15 +151,14 @@ def _stationary(offset: Array) -> Array:
     The pixels of a sensor are about as uneven everywhere; an excess is taken for the scenes', as by Wiener's filter.
     Columns and rows, which are long, are found by their medians and stay.
     """
-    columns = np.median(offset, axis=0, keepdims=True)
-    rows = np.median(offset - columns, axis=1, keepdims=True)
-    pixels = offset - columns - rows
-    block = min(BLOCK, *offset.shape)
+    lines = np.median(offset, axis=0, keepdims=True)
+    lines = lines + np.median(offset - lines, axis=1, keepdims=True)
+    pixels, block = offset - lines, min(BLOCK, *offset.shape)
     height, width = (side // block for side in offset.shape)
-    blocks = np.abs(pixels[: height * block, : width * block]).reshape(height, block, width, block)
-    strength = np.median(blocks, axis=(1, 3))
+    blocks = pixels[: height * block, : width * block].reshape(height, block, width, block)
+    strength = np.median(np.abs(blocks), axis=(1, 3))
     share = np.minimum(1, (MAX_UNEVENNESS * np.median(strength) / np.maximum(strength, 1e-30)) ** 2)
-    return np.asarray(columns + rows + pixels * enlarged(share, offset.shape, block))
+    return np.asarray(lines + pixels * enlarged(share, offset.shape, block))
 
 
 def low_order_part(pattern: Array) -> Array:

@@ -126,8 +126,7 @@ def without_scene(modes: Array) -> Array:
     for kind in range(3):
         finest = modes[(kinds == kind) & (mode_radius(modes.shape) > max(modes.shape) / 2)]
         bound[kinds == kind] *= np.median(finest**2) / CHI_SQUARED_MEDIAN if finest.size else 1
-    share = np.minimum(1, bound / np.maximum(group_power(modes), 1e-30))
-    return modes * np.where(growth > 1, share, 1)
+    return modes * np.where(growth > 1, np.minimum(1, bound / np.maximum(group_power(modes), 1e-30)), 1)
 
 
 class LowOrderModes:
