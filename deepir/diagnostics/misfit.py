@@ -89,13 +89,10 @@ def misfit(
 def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: Array) -> dict[str, Array]:
     """Evidence of each cause: name of its message, and nats of each frame (N,); arguments as of `misfit`."""
     before, after = -np.diff(flux, axis=0, prepend=flux[:1]), np.diff(flux, axis=0, append=flux[-1:])
-    weight, white = _whitened(residual, whole)
+    weight, white = _whitened(residual, whole, flux * gain)
     torn = np.maximum(*(_torn(change * gain * weight, white) for change in (before, after)))
-    weight, white = _whitened(residual, precision)
+    weight, white = _whitened(residual, precision, flux * gain)
     response = gain * weight
-    # Of a gain control's contrast a part may be left.
-    contrast = (flux - flux.mean((1, 2), keepdims=True)) * response
-    white -= contrast * ((contrast * white).sum((1, 2)) / (contrast**2).sum((1, 2)).clip(1e-12))[:, None, None]
     height, width = white.shape[1:]
     slope = [_along(flux, axis, (-0.5, 0, 0.5)) * response for axis in (1, 2)]
     curvature = [_along(flux, axis, (1, -2, 1)) * response for axis in (1, 2)]
@@ -114,11 +111,16 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
     }
 
 
-def _whitened(residual: Array, precision: Array) -> tuple[Array, Array]:
-    """Inverse standard deviation of the noise, and residuals in it, clipped and then of mean square one."""
+def _whitened(residual: Array, precision: Array, shown: Array) -> tuple[Array, Array]:
+    """Inverse standard deviation of the noise, and residuals in it, clipped and then of mean square one.
+
+    Without what changes as the contrast of the images `shown` does: of a gain control's, a part may be left.
+    """
     weight = np.sqrt(precision)
     weight[:, [0, -1]] = weight[:, :, [0, -1]] = 0  # where derivatives are not known
     white = (residual * weight).clip(-RESIDUAL_CLIP_SIGMAS, RESIDUAL_CLIP_SIGMAS)
+    contrast = (shown - shown.mean((1, 2), keepdims=True)) * weight
+    white -= contrast * ((contrast * white).sum((1, 2)) / (contrast**2).sum((1, 2)).clip(1e-12))[:, None, None]
     return weight, white / max(math.sqrt((white**2).sum() / max(1, int(np.count_nonzero(weight)))), 1e-30)
 
 
