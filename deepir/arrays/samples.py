@@ -50,12 +50,12 @@ def pattern_outliers(pattern: Array, known: Array) -> Array:
     from deepir.kernels.median_filter import median_filter
 
     apart = pattern
-    for axis in (1, 0):
+    for axis in (0, 1):
         lines = np.where(known, apart, np.median(apart[known])) if known.any() else apart
-        apart = apart - np.median(lines, axis=axis, keepdims=True)
+        apart = apart - np.quantile(lines, 0.5, axis=axis, method="lower", keepdims=True)
     apart = np.abs(apart - median_filter(apart, 3))
     differ = apart[known & (apart > 0)]
     if differ.size < apart.size / 4:  # most pixels are exactly alike: nothing to compare with
         return np.zeros_like(known)
-    limit = OUTLIER_DEVIATION * MAD_TO_SIGMA * np.median(differ)
+    limit = OUTLIER_DEVIATION * MAD_TO_SIGMA * np.quantile(differ, 0.5, method="lower")
     return np.asarray(known & (apart > limit) & (apart > ISOLATION * median_filter(apart, 3)))

@@ -62,7 +62,7 @@ def correct_file(
                 count = write_frames(follow(iter(corrected), "correcting", len(corrected)), write)
                 drawn.result()
                 findings = list(findings_lines(corrected.estimate))
-                unit = str(metadata.get("unit", ""))
+                unit = str(metadata.get("unit", "counts" if dtype.kind in "iu" else ""))
                 write_recording_report(own_page, corrected, str(data.path), unit, findings)
         except Interrupted:
             if not maps.exists():
@@ -73,7 +73,7 @@ def correct_file(
     for line in findings:
         echo(line)
     speed = count / (time.perf_counter() - begun)
-    echo(f"{target}: {count} frame(s), {speed:.0f} frames/s; maps: {maps}; to look at: {page}, {picture}")
+    echo(f"{target}: {count} frame(s), corrected at {speed:.0f} frames/s; maps: {maps}; to look at: {page}, {picture}")
     return corrected
 
 

@@ -149,15 +149,14 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
         Frames `(N, h, w)` float64; zero if no pixel is good.
     """
     filled, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILLING.window
-    if not good.any():
-        return filled
     known, fraction = filled.numpy(), good.double().numpy()
-    while unknown.any():
+    while unknown.any() and good.any():
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
         local_sum = scipy.ndimage.uniform_filter(known, (0, window, window), mode="constant")
-        means = torch.from_numpy(local_sum / local_fraction.clip(1e-9))
-        fillable = unknown & torch.from_numpy(local_fraction > FILLING.min_good_fraction)
-        filled, unknown, window = torch.where(fillable, means, filled), unknown & ~fillable, 2 * window + 1
+        least = FILLING.min_good_fraction * (window < max(good.shape))  # in the widest ones any good pixel will do
+        fillable = unknown & torch.from_numpy(local_fraction > least)
+        filled = torch.where(fillable, torch.from_numpy(local_sum / local_fraction.clip(1e-9)), filled)
+        unknown, window = unknown & ~fillable, 2 * window + 1
     return filled
 
 

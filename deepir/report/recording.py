@@ -67,9 +67,9 @@ def verdict(corrected: CorrectedRecording, unit: str) -> Verdict:
 
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
-    was, now = corrected.estimate.pattern_deviations
-    before, after = (f"{each:.3g} {unit}".rstrip() for each in (was, now))
-    return f"The fixed pattern was {before}" + (f", and is about {after} now." if np.isfinite(now) else ".")
+    was, now = (f"{each:.3g} {unit}".rstrip() for each in corrected.estimate.pattern_deviations)
+    left = "." if now.startswith("nan") else f"; about {now} is expected to be left."
+    return f"The fixed pattern was {was} (standard deviation){left}"
 
 
 def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:
@@ -77,7 +77,8 @@ def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, st
     yield "fixed pattern before", f"{was:.3g} {unit}".rstrip()
     if np.isfinite(now):
         yield "expected to be left", f"{now:.2g} {unit}".rstrip()
-    yield "gain differs by", f"{100 * float(corrected.estimate.gain.std()):.2g} %"
+    if spread := float(corrected.estimate.gain.std()):
+        yield "spread of the gain", f"{100 * spread:.2g} %"
     yield "bad pixels", str(int(corrected.estimate.bad_pixels.sum()))
     yield "frames", str(len(corrected))
 

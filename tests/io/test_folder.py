@@ -41,13 +41,9 @@ def test_files_are_in_the_order_of_time_stamps_and_of_steps(names):
     assert in_order(files[::-1]) == files
 
 
-def test_globs_choose_files(tmp_path, burst):
+def test_globs_choose_files_from_the_current_folder_too(tmp_path, burst, monkeypatch):
     recordings.folder(tmp_path / "f", burst)
     np.testing.assert_array_equal(read_frames(tmp_path / "f" / "frame?.png").frames, burst[:2])
-
-
-def test_globs_work_from_the_current_folder(tmp_path, burst, monkeypatch):
-    recordings.folder(tmp_path / "f", burst)
     monkeypatch.chdir(tmp_path)
     np.testing.assert_array_equal(read_frames("f/*.png").frames, burst)
 

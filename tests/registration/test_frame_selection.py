@@ -184,7 +184,7 @@ def test_frames_without_lost_samples_are_registered_as_they_are():
     assert torch.equal(whole.motion, register(frames).motion)
 
 
-def test_a_hole_is_filled_from_around_it():
+def test_a_hole_is_filled_from_around_it_and_a_frame_from_its_one_good_pixel():
     rows = torch.arange(40.0)[:, None].expand(40, 50)
     good = torch.ones(40, 50, dtype=torch.bool)
     good[10:30, 20:40] = good[3, 3] = False
@@ -192,3 +192,5 @@ def test_a_hole_is_filled_from_around_it():
     assert torch.equal(found[good].float(), rows[good])
     assert float((found - rows)[~good].abs().max()) < 12
     assert float(found[3, 3]) == pytest.approx(3)
+    one = rows == rows[7, 0]
+    assert torch.allclose(fill_bad_pixels(rows[None], one & (torch.arange(50) == 9)).float(), rows[7, 0])

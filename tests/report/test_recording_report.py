@@ -44,7 +44,10 @@ def told(**changes):
 def test_the_verdict_says_how_much_pattern_there_was_and_is():
     found = told()
     assert found.severity == "good"
-    assert re.fullmatch(r"The fixed pattern was [34]\.\d+ counts, and is about 0\.5 counts now\.", found.sentence)
+    assert re.fullmatch(
+        r"The fixed pattern was [34]\.\d+ counts \(standard deviation\); about 0\.5 counts is expected to be left\.",
+        found.sentence,
+    )
     assert found.more == "1 bad pixel is filled in."
 
 
