@@ -97,9 +97,9 @@ def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | No
     for number in range(FIRST_GAIN_ROUND if low_order else 0, ROUNDS):
         burst.align(offset, gain, FREE_MOTION[number])
         burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
-        told = burst.tells
-        prior.start = np.where(told, broad, broad[0, 0])  # the rest stays as it is, but for what the scene is in it
-        offset = idct(np.where(told, dct(offset), without_scene(dct(offset))))
+        told, found = burst.tells, dct(offset)
+        prior.start = np.where(told, broad, broad[0, 0])
+        offset = idct(np.where(told, found, without_scene(found)))  # the rest stays, without what is the scene's
         if not low_order:
             step, covariance = low_order_step([burst], modes, prior, offset, gain)
             offset = offset + step

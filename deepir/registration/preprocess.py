@@ -153,9 +153,9 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
     while unknown.any() and good.any():
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
         local_sum = scipy.ndimage.uniform_filter(known, (0, window, window), mode="constant")
-        least = FILLING.min_good_fraction * (window < max(good.shape))  # in the widest ones any good pixel will do
+        least = FILLING.min_good_fraction if window < max(good.shape) else 1e-9  # any pixel, but no rounding
         fillable = unknown & torch.from_numpy(local_fraction > least)
-        filled = torch.where(fillable, torch.from_numpy(local_sum / local_fraction.clip(1e-9)), filled)
+        filled = torch.where(fillable, torch.from_numpy(local_sum / local_fraction.clip(least)), filled)
         unknown, window = unknown & ~fillable, 2 * window + 1
     return filled
 

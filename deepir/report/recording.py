@@ -67,9 +67,9 @@ def verdict(corrected: CorrectedRecording, unit: str) -> Verdict:
 
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
-    was, now = (f"{each:.3g} {unit}".rstrip() for each in corrected.estimate.pattern_deviations)
-    left = "." if now.startswith("nan") else f"; about {now} is expected to be left."
-    return f"The fixed pattern was {was} (standard deviation){left}"
+    was, now = corrected.estimate.pattern_deviations
+    left = f"; about {now:.3g} {unit}".rstrip() + " is expected to be left." if np.isfinite(now) else "."
+    return f"The fixed pattern was {was:.3g} {unit}".rstrip() + f" (standard deviation){left}"
 
 
 def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:

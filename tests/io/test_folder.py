@@ -29,15 +29,15 @@ def test_folders_are_in_natural_order_and_leave_out_what_is_no_picture(tmp_path,
 @pytest.mark.parametrize(
     "names",
     [
-        "1732712344.9 1732712345.125 1732712345.25 1732712345.5",
-        "1700000000023456789 1700000000123456789",
-        "step_-12 step_-5 step_0 step_3",
-        "v1-2 v1-9 v1-10",
+        "1732712344.9.png 1732712345.png 1732712345.125.png 1732712345.25.png 1732712345.5.png",
+        "1700000000023456789.tif 1700000000123456789.tif",
+        "step_-12.png step_-5.png step_0.png step_3.png",
+        "v1-2.png v1-9.png v1-10.png",
         "v1.9 v1.10",
     ],
 )
 def test_files_are_in_the_order_of_time_stamps_and_of_steps(names):
-    files = [Path(f"{name}.png") for name in names.split()]
+    files = [Path(name) for name in names.split()]
     assert in_order(files[::-1]) == files
 
 

@@ -92,11 +92,11 @@ def burst_files(path: Path) -> list[Path]:
 
 def in_order(files: Sequence[Path]) -> list[Path]:
     """Files by the numbers in their names: nine digits and more are seconds with decimals, steps may be negative."""
-    ends = {file: re.fullmatch(r"(.*?)(-?)(\d+)", str(file.with_suffix(""))) for file in files}
+    ends = {file: re.fullmatch(r"(.*?)(-?)(\d+)(\.\D[^.]*)?", str(file)) for file in files}
     steps, others = ({end[1] for end in ends.values() if end and end[2] == sign} for sign in ("-", ""))
 
     def key(file: Path) -> list[Any]:
-        name, step, end = str(file.with_suffix("")), [], ends[file]
+        name, step, end = str(file), [], ends[file]
         if end and end[1] in steps & others:
             name, step = end[1], [Decimal(end[2] + end[3])]
         parts = re.split(r"(\d{9,}\.\d+|\d+)", name.casefold())
