@@ -72,6 +72,7 @@ class SensorEstimate:
         messages: for the user.
         contrasts: numbers of frames, and their gains by an automatic gain control, relative to their mean; None: one.
         jumps: numbers of frames at which the pattern may jump, as far as registered frames do not rule it out.
+        noise: standard deviation of a sample's noise, frames' units; NaN where it is not known.
     """
 
     gain: Array
@@ -84,6 +85,7 @@ class SensorEstimate:
     messages: tuple[str, ...] = ()
     contrasts: tuple[Array, Array] | None = None
     jumps: tuple[int, ...] = ()
+    noise: float = np.nan
 
     @property
     def pattern_deviations(self) -> tuple[float, float]:
@@ -285,6 +287,7 @@ def _estimate(
         messages,
         contrasts,
         jumps,
+        solution.noise,
     )
 
 

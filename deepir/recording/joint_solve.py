@@ -62,7 +62,7 @@ class SensorSolution:
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
         low_order: part of long periods of the offset, and its posterior variance, (h, w) each.
         motion_error: of the frames, px; inf where they do not register.
-        noise: of a sample, frames' units.
+        noise: of a sample, frames' units; NaN where it is not known.
     """
 
     offset: Array
@@ -75,7 +75,7 @@ class SensorSolution:
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
-        return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, 0.0)
+        return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, np.nan)
 
 
 def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:

@@ -67,9 +67,10 @@ def verdict(corrected: CorrectedRecording, unit: str) -> Verdict:
 
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
-    was, now = corrected.estimate.pattern_deviations
+    (was, now), noise = corrected.estimate.pattern_deviations, corrected.estimate.noise
     left = f"; about {now:.3g} {unit}".rstrip() + " is expected to be left." if np.isfinite(now) else "."
-    return f"The fixed pattern was {was:.3g} {unit}".rstrip() + f" (standard deviation){left}"
+    little = "There was little to correct, for it is weaker than the noise of one frame. " if was < noise else ""
+    return f"The fixed pattern was {was:.3g} {unit}".rstrip() + f" (standard deviation){left} {little}".rstrip()
 
 
 def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:
@@ -77,6 +78,8 @@ def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, st
     yield "fixed pattern before", f"{was:.3g} {unit}".rstrip()
     if np.isfinite(now):
         yield "expected to be left", f"{now:.2g} {unit}".rstrip()
+    if np.isfinite(corrected.estimate.noise):
+        yield "noise of one frame", f"{corrected.estimate.noise:.2g} {unit}".rstrip()
     if spread := float(corrected.estimate.gain.std()):
         yield "spread of the gain", f"{100 * spread:.2g} %"
     yield "bad pixels", str(int(corrected.estimate.bad_pixels.sum()))

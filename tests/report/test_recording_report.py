@@ -51,6 +51,11 @@ def test_the_verdict_says_how_much_pattern_there_was_and_is():
     assert found.more == "1 bad pixel is filled in."
 
 
+@pytest.mark.parametrize(("noise", "little"), [(8.0, True), (2.0, False), (np.nan, False)])
+def test_a_pattern_below_the_noise_of_one_frame_is_little_to_correct(noise, little):
+    assert ("little to correct" in told(noise=noise).sentence) == little
+
+
 def test_what_was_left_comes_first():
     left = Message("shading-stays", "it could not be separated")
     found = told(messages=(left,), offset_deviation=None)
