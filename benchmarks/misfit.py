@@ -37,6 +37,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
     "refocus": ("unsharp-frames",),
     "motion blur": ("unsharp-frames",),
     "lag": ("thermal-lag",),
+    "zoom and tilt": ("frames-bend",),
     "parallax": ("parallax",),
     "drifting shading": ("shading-changes",),
     "a still part": ("still-region",),
@@ -116,6 +117,11 @@ def faulty(  # noqa: PLR0912 - a branch for each fault
             frames[k] = camera.view(k, down * (y % 2), across * (y % 2))
         elif fault == "sub-pages":
             frames[k] = camera.view(k, down * ((x + y) % 2), across * ((x + y) % 2))
+        elif fault == "zoom and tilt":
+            v, u = y / SIZE[0] - 0.5, x / SIZE[1] - 0.5
+            zoom, pitch, yaw = 3 * strength * rng.normal(size=3)
+            turn = zoom + pitch * v + yaw * u
+            frames[k] = camera.view(k, turn * v, turn * u)
         elif fault == "parallax":
             depth = np.cos(x / 30 + 1) * np.sin(y / 25)
             frames[k] = camera.view(k, *(0.2 * strength * depth * each for each in camera.at[k]))

@@ -94,6 +94,10 @@ WARNINGS = {
         "Some frames are less sharp than others, by autofocus or by fast motion.",
         "Leave them out with `data.frames`, or model each frame's blur with `per_frame` of operator `blur`.",
     ),
+    "frames-bend": (
+        "The frames stretch or bend against each other: the camera zooms, tilts, or has a wide lens.",
+        "Set `physics.warp.motion.type=homography`.",
+    ),
     "parallax": (
         "Near and far parts of the scene move by different amounts, which one motion of the frame does not follow.",
         "Use `deepir run flow`.",

@@ -61,6 +61,12 @@ def misfit_message(problem: Problem, said: Sequence[str] = ()) -> list[str]:
     return [Message(message.name, f"{message}{few}")]
 
 
+def misses_bending(problem: Problem) -> bool:
+    """Whether what rigid motion of the frames misses is that of a homography."""
+    message, nats, _ = _misfit(problem)
+    return message.name == "frames-bend" and nats > MIN_MISFIT
+
+
 def _misfit(problem: Problem) -> tuple[Message, float, list[int]]:
     """`misfit` of a problem that ends in a sensor."""
     values = problem.values()

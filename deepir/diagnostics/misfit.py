@@ -22,6 +22,7 @@ Array = np.ndarray[Any, Any]
 RESIDUAL_CLIP_SIGMAS = 3.0
 #: Cells along each side of a frame, and bands of rows, of what changes smoothly over it.
 CELLS, BANDS = 6, 24
+COLUMNS = 160  # of wider frames, about as many are enough
 
 CAUSES = (
     Message(
@@ -50,6 +51,11 @@ CAUSES = (
         "the frames trail: each shows some of the one before it still, as slow pixels do (thermal lag). Move the "
         "camera more slowly, or let it rest before each frame; where it moves evenly, `deepir run deblur_lag "
         "data.fps=...` removes the lag",
+    ),
+    Message(
+        "frames-bend",
+        "the frames stretch or bend against each other, as where the camera zooms, tilts or looks through a wide lens, "
+        "and rigid motion does not follow. Set `physics.warp.motion.type=homography`",
     ),
     Message(
         "parallax",
@@ -82,21 +88,26 @@ def misfit(
         return CAUSES[0], 0.0, []
     found = causes(residual, precision, whole, flux, gain)
     message = max(CAUSES, key=lambda each: float(found[each.name].sum()))
-    nats, count = found[message.name], int(np.count_nonzero(whole))
+    nats, count = found[message.name], int(np.count_nonzero(whole[_some(whole)]))
     return message, float(nats.sum()) / max(1, count), np.flatnonzero(4 * nats > nats.max()).tolist()
 
 
 def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: Array) -> dict[str, Array]:
     """Evidence of each cause: name of its message, and nats of each frame (N,); arguments as of `misfit`."""
     before, after = -np.diff(flux, axis=0, prepend=flux[:1]), np.diff(flux, axis=0, append=flux[-1:])
+    slope = [_along(flux, axis, (-0.5, 0, 0.5)) for axis in (1, 2)]
+    curvature = [_along(flux, axis, (1, -2, 1)) for axis in (1, 2)]
+    curvature.append(_along(slope[0], 2, (-0.5, 0, 0.5)))
+    some = _some(flux)
+    residual, precision, whole, flux, gain, before, after, *slopes = (
+        each[some] for each in (residual, precision, whole, flux, gain, before, after, *slope, *curvature)
+    )
     weight, white = _whitened(residual, whole, flux * gain)
     torn = np.maximum(*(_torn(change * gain * weight, white) for change in (before, after)))
     weight, white = _whitened(residual, precision, flux * gain)
     response = gain * weight
+    slope, curvature = [each * response for each in slopes[:2]], [each * response for each in slopes[2:]]
     height, width = white.shape[1:]
-    slope = [_along(flux, axis, (-0.5, 0, 0.5)) * response for axis in (1, 2)]
-    curvature = [_along(flux, axis, (1, -2, 1)) * response for axis in (1, 2)]
-    curvature.append(_along(_along(flux, 1, (-0.5, 0, 0.5)), 2, (-0.5, 0, 0.5)) * response)
     rows = (np.arange(height, dtype=np.float32) % 2 * 2 - 1)[:, None]
     chessboard = rows * (np.arange(width, dtype=np.float32) % 2 * 2 - 1)
     return {
@@ -104,11 +115,25 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
         "rows-displaced": np.maximum(*(_nats(slope, white, (n, 1)) for n in (BANDS, height))),
         "interlaced-frames": _nats([each * rows for each in slope], white, (1, 1)),
         "subpage-frames": _nats([each * chessboard for each in slope], white, (1, 1)),
+        "frames-bend": _nats(_bending(*slope), white, (1, 1)),
         "parallax": _nats(slope, white, (CELLS, CELLS)),
         "shading-changes": _nats([weight], white, (CELLS, CELLS)),
         "unsharp-frames": _nats(curvature, white, (1, 1), softer=True),
         "thermal-lag": _nats([before * response], white, (1, 1)),
     }
+
+
+def _some(images: Array) -> Any:
+    """Every so manieth column, an odd number, so that a chessboard stays one."""
+    return np.s_[..., :: images.shape[-1] // COLUMNS // 2 * 2 + 1]
+
+
+def _bending(down: Array, across: Array) -> list[Array]:
+    """What the motion of a homography adds to frames, by their slopes (N, h, w) down and across."""
+    y, x = (np.linspace(-1, 1, side, dtype=np.float32) for side in down.shape[1:])
+    y, x = y[:, None], x[None]
+    turning = y * down + x * across
+    return [down, across, y * down, x * down, y * across, x * across, y * turning, x * turning]
 
 
 def _whitened(residual: Array, precision: Array, shown: Array) -> tuple[Array, Array]:

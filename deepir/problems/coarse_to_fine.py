@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +16,12 @@ from deepir.config import Config
 from deepir.estimation.residuals import temporal_mean
 from deepir.fields.base import Field
 from deepir.fields.constant import Constant
-from deepir.fields.motion import Auto, Motion
+from deepir.fields.motion import Motion
 from deepir.fields.sensor_maps import SumField
 from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
 from deepir.registry import components
-from deepir.schedule import Stage
 
 #: Weights along an axis, binomial. Means of two leave waves too short for the half, which the scene can follow
 #: in the first frame only, whose pixels are its own: all others then lie 0.3 px off, together.
@@ -33,7 +30,6 @@ MIN_WEIGHT = 0.5  # of the samples that a pixel of the half is a mean of
 EVERY_THIRD = slice(1, -1, 3)  # samples along an axis that are enough for a Gauss-Newton step
 MIN_STEP = 0.2  # px by which a Gauss-Newton step moves the corners of a frame, if its motion is wrong
 MIN_SIDE = 96  # px of the shorter side of a frame: the step of smaller ones says little
-MIN_FRAMES, HOMOGRAPHY_MARGIN = 3, 1200.0  # frames for homographies; nats by which they are likelier
 
 
 def coarse_to_fine(problem: Problem, recipe: Recipe, seed: int) -> None:
@@ -54,7 +50,7 @@ def coarse_to_fine(problem: Problem, recipe: Recipe, seed: int) -> None:
     rounds.initialise(half, seed)
     stages = [stage for stage in rounds.plan(half) if stage.needed is None and not stage.use_held_out]
     solve(half, stages)
-    upsample_motion(problem, select_homography(half, stages[-1]) or half)
+    upsample_motion(problem, half)
     upsample_moving_mask(problem, half)
     recipe.start(problem)
 
@@ -129,24 +125,6 @@ def _from_half(problem: Problem) -> Tensor:
     """Points of the half to those of the whole, (3, 3), each about its centre; an odd last line is left out."""
     h, w = (side % 2 / 2 for side in problem.data.shape[-2:])
     return torch.tensor([[2, 0, -w], [0, 2, -h], [0, 0, 1]], dtype=torch.float64)
-
-
-def select_homography(half: Problem, last: Stage) -> Problem | None:
-    """The half with homographies, solved, if its frames bend; None if they do not, or did already.
-
-    Both go on with the `last` round, at its strengths, to see how much likelier homographies are.
-    """
-    bends = copy.deepcopy(half)
-    field = motion_of(bends)
-    if not isinstance(field, Auto) or field.uses_homography or len(half.data) < MIN_FRAMES:
-        return None
-    field.switch_to_homography()
-    going_on = replace(last, prepare=None)
-    rigid, free = (solve(each, [going_on]).history[-1]["loss"] for each in (half, bends))
-    if rigid - free < HOMOGRAPHY_MARGIN:
-        return None
-    solve(bends, [last])
-    return bends
 
 
 def motion_of(problem: Problem) -> Field:

@@ -6,17 +6,20 @@ from typing import Any, ClassVar
 
 import torch
 
+from deepir.diagnostics.fit import misses_bending
 from deepir.effects.sensor_pattern import pattern_to_noise
 from deepir.estimation.prior_weight import adapt_weight_map, pattern_cost_db, store_reference_misfit
+from deepir.fields.motion import Auto
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.optim.objective import hold_out
 from deepir.optim.solve import solve
 from deepir.problem import Problem
-from deepir.problems.coarse_to_fine import coarse_to_fine
+from deepir.problems.coarse_to_fine import coarse_to_fine, motion_of
 from deepir.problems.recipe import Recipe, each_by_itself
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
+MIN_FRAMES = 3  # for homographies
 DOMINANT_PATTERN = 10.0  # standard deviations of the noise, from which the pattern biases the registration
 ROUND_TOLERANCE = 2e-3  # nats per sample that ten iterations gain, in the first rounds
 LAST_TOLERANCE = 3e-4  # the same in the last round
@@ -31,6 +34,7 @@ class NUC(Recipe):
 
     Three rounds estimate the sensor under a twentieth of the scene's prior: at full weight the joint optimum is biased,
     for contrast of the scene leaks into the gain. Then the scene is estimated, the sensor fixed, from all samples.
+    After the first round, frames whose residuals show that they bend are given homographies for their rigid motion.
     """
 
     frames = 2
@@ -65,6 +69,7 @@ class NUC(Recipe):
         schedule = Schedule(
             [
                 Stage("sensor 1", first, short, tolerance=rough),
+                Stage("homography", (Step(free), *eliminate), short, tolerance=rough, needed=_bends, change=_bend),
                 Stage("sensor 2", first, short, prepare=self.first_update, tolerance=rough),
                 Stage("sensor 3", (Step(free), *eliminate), long, prepare=self.update, tolerance=fine),
                 Stage("scene", final, last, prepare=self.finish, use_held_out=True, tolerance=scene),
@@ -92,6 +97,25 @@ class NUC(Recipe):
         for each in problem.data_sets:
             adapt_weight_map(each, 0.0 if self.sensor_follows else pattern_cost_db(each, self.sensor_weight))
             store_reference_misfit(each)
+
+
+def _rigid(problem: Any) -> list[tuple[Problem, Auto]]:
+    """Data sets whose motion is rigid unless their frames bend."""
+    return [
+        (each, field)
+        for each in problem.data_sets
+        if each.motion_unknown() and len(each.data) >= MIN_FRAMES
+        if isinstance(field := motion_of(each), Auto) and not field.uses_homography
+    ]
+
+
+def _bends(problem: Any) -> bool:
+    return any(misses_bending(each) for each, _ in _rigid(problem))
+
+
+def _bend(problem: Any) -> None:
+    for _, field in _rigid(problem):
+        field.switch_to_homography()
 
 
 @register("problem", "recording")

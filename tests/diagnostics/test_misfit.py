@@ -36,6 +36,8 @@ def displaced(rng, kind):
             wrong[k] = look(picture, at[k], 0, rng.normal(0, 0.3, (H, 1)) + 0 * x)
         elif kind in ("interlaced-frames", "subpage-frames"):
             wrong[k] = look(picture, at[k], 0.4 * (((kind[0] == "s") * x + y) % 2 - 0.5))
+        elif kind == "frames-bend":
+            wrong[k] = look(picture, at[k], *(rng.uniform(-0.03, 0.03) * (each - each.mean()) for each in (y, x)))
         elif kind == "parallax":
             wrong[k] = look(picture, at[k], 0.3 * np.sin(x / 12), 0.3 * np.cos(y / 15))
         elif kind == "unsharp-frames" and k > 3:

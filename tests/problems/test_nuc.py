@@ -1,6 +1,7 @@
 """Non-uniformity correction where little is seen."""
 
 import numpy as np
+import pytest
 from scipy import ndimage
 
 import deepir
@@ -117,3 +118,16 @@ def test_lost_rows_and_the_bars_of_a_film_cost_little():
     frames[:, :8] = frames[:, -8:] = 16
     error = (deepir.run("nuc", frames=frames, threads=1).scene - sim.truth.scene)[10:-10]
     assert (error - error.mean()).std() < 0.02 * sim.settings.contrast
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_small_frames_that_bend_move_by_homographies(seed):
+    """Registration takes their motion for a rigid one: 43 dB."""
+    camera = Settings(n_frames=6, shape=(64, 80), max_shift=5.0, max_rotation=0.5, motion="homography")
+    sim = simulate(None, camera, seed=seed)
+    found, told = (
+        deepir.run("nuc", f"physics.warp.motion.type={kind}", frames=sim.frames, threads=1)
+        for kind in ("auto", "homography")
+    )
+    error, least = (np.std(each.scene - sim.truth.scene) for each in (found, told))
+    assert error < 1.1 * least
