@@ -98,7 +98,8 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
     slope = [_along(flux, axis, (-0.5, 0, 0.5)) for axis in (1, 2)]
     curvature = [_along(flux, axis, (1, -2, 1)) for axis in (1, 2)]
     curvature.append(_along(slope[0], 2, (-0.5, 0, 0.5)))
-    some = _some(flux)
+    some, half = _some(flux), max(flux.shape[1:]) / 2
+    y, x = (((np.arange(side) - (side - 1) / 2) / half).astype(np.float32) for side in flux.shape[1:])
     residual, precision, whole, flux, gain, before, after, *slopes = (
         each[some] for each in (residual, precision, whole, flux, gain, before, after, *slope, *curvature)
     )
@@ -115,7 +116,7 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
         "rows-displaced": np.maximum(*(_nats(slope, white, (n, 1)) for n in (BANDS, height))),
         "interlaced-frames": _nats([each * rows for each in slope], white, (1, 1)),
         "subpage-frames": _nats([each * chessboard for each in slope], white, (1, 1)),
-        "frames-bend": _nats(_bending(*slope), white, (1, 1)),
+        "frames-bend": _bending(slope[0], slope[1], y[:, None], x[some], white),
         "parallax": _nats(slope, white, (CELLS, CELLS)),
         "shading-changes": _nats([weight], white, (CELLS, CELLS)),
         "unsharp-frames": _nats(curvature, white, (1, 1), softer=True),
@@ -128,12 +129,12 @@ def _some(images: Array) -> Any:
     return np.s_[..., :: images.shape[-1] // COLUMNS // 2 * 2 + 1]
 
 
-def _bending(down: Array, across: Array) -> list[Array]:
-    """What the motion of a homography adds to frames, by their slopes (N, h, w) down and across."""
-    y, x = (np.linspace(-1, 1, side, dtype=np.float32) for side in down.shape[1:])
-    y, x = y[:, None], x[None]
-    turning = y * down + x * across
-    return [down, across, y * down, x * down, y * across, x * across, y * turning, x * turning]
+def _bending(down: Array, across: Array, y: Array, x: Array, white: Array) -> Array:
+    """Evidence (N,) of motion by homographies over that by shift and turn, by slopes (N, h, w) at places y, x."""
+    along_x, along_y, towards = x * down, y * across, y * down + x * across
+    rigid = [down, across, along_x - along_y]
+    bent = [*rigid, along_x, y * down, x * across, y * towards, x * towards]
+    return _nats(bent, white, (1, 1)) - _nats(rigid, white, (1, 1))
 
 
 def _whitened(residual: Array, precision: Array, shown: Array) -> tuple[Array, Array]:
