@@ -16,10 +16,10 @@ from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.coarse_to_fine import coarse_to_fine, motion_of
 from deepir.problems.recipe import Recipe, each_by_itself
+from deepir.registration.motion_search import MIN_FRAMES
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-MIN_FRAMES = 3  # for homographies
 DOMINANT_PATTERN = 10.0  # standard deviations of the noise, from which the pattern biases the registration
 ROUND_TOLERANCE = 2e-3  # nats per sample that ten iterations gain, in the first rounds
 LAST_TOLERANCE = 3e-4  # the same in the last round

@@ -118,7 +118,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         step, _ = low_order_step(sets, modes, prior, offset, np.ones(size))
         offset = offset + step
     found, scene = (dct(each)[modes.low] for each in (offset, frames.mean(0) - offset))
-    multiple = (found @ scene) / max(scene @ scene, 1e-30) * scene
+    multiple = np.clip((found @ scene) / max(scene @ scene, 1e-30), 0, 1) * scene
     beside = found - multiple
     if beside @ beside < MIN_BESIDE_SCENE**2 * (scene @ scene + multiple @ multiple):
         return None

@@ -13,15 +13,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from deepir.operators.motion_models import increment, nearest_rigid, relative, transform_points
+from deepir.operators.motion_models import PARAMETERS, relative
 from deepir.registration.alignment import (
     Alignment,
     accept_by_misfit,
     align,
-    estimate_pattern,
-    normal_equations,
-    solve_normal_equations,
-    warp_to_reference,
 )
 from deepir.registration.block_likelihood import (
     GRID_3X3,
@@ -59,21 +55,9 @@ class RotationCriteria:
     min_change: float = 0.4  # px at the corners of the block means; accuracy of the likelihood
 
 
-@dataclass(frozen=True)
-class HomographyCriteria:
-    """When homographies replace rigid motions."""
-
-    min_frames: int = 3
-    min_side: int = 64  # px
-    band_rows: int = 8  # rows of a band; the two half steps use alternate bands
-    min_cosine: float = 0.6  # between the non-rigid displacements of the two half steps
-    min_rms: float = 0.06  # px along the frame's edge; smaller non-rigid displacements are neglected
-    min_nats: float = 20.0  # log-likelihood ratio in sum over all blocks but the best
-
-
 LEVELS = LevelSettings()
 ROTATION = RotationCriteria()
-HOMOGRAPHY = HomographyCriteria()
+MIN_FRAMES = 3  # for homographies
 
 
 @dataclass(frozen=True)
@@ -231,7 +215,7 @@ def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tens
     """Replace rigid motions by homographies (zoom, tilt, a wide lens that rotates) if the blocks' likelihood accepts.
 
     Homographies always lower the residuals, since scene and pattern adapt. So the decision is that of blocks, each of
-    which has its own likelihood.
+    which has its own likelihood, by Akaike's criterion.
 
     Args:
         frames: `(N, H, W)`.
@@ -242,41 +226,11 @@ def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tens
     Returns:
         Motions `(N, 3, 3)`; the object `motion` itself if homographies are not accepted.
     """
-    too_small = len(motion) < HOMOGRAPHY.min_frames or min(level.shape) < HOMOGRAPHY.min_side
-    if too_small or not half_steps_agree(level, motion):
+    if len(motion) < MIN_FRAMES:
         return motion
     homography = align(level, motion, "homography", LEVELS.max_rounds).motion
     reduced, factor = likelihood_frames(frames, weight)
     before, after = change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor)
     block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
-    return homography if accept_by_blocks(block_ratios, min_nats=HOMOGRAPHY.min_nats) else motion
-
-
-def half_steps_agree(level: Level, motion: Tensor) -> bool:
-    """Whether two Gauss-Newton steps towards homographies agree, one from odd and one from even bands of rows.
-
-    Noise of the two steps is independent; lines of the pattern and edges of the scene may act on both alike.
-
-    Args:
-        level: N frames.
-        motion: `(N, 3, 3)`, rigid.
-    """
-    pattern, _ = estimate_pattern(level, motion)
-    equations = normal_equations(warp_to_reference(level, pattern, motion), level, "homography")
-    is_odd = torch.arange(len(equations)) // HOMOGRAPHY.band_rows % 2 == 1
-    half_size = max(level.shape) / 2
-    steps = [solve_normal_equations(equations[rows]) for rows in (is_odd, ~is_odd)]
-    odd, even = (
-        nonrigid_displacement(level, relative(increment("homography", step, half_size) @ motion)) for step in steps
-    )
-    min_correlated = HOMOGRAPHY.min_cosine * float(odd.norm() * even.norm())
-    min_power = HOMOGRAPHY.min_rms**2 * odd[:, 0].numel()
-    return float((odd * even).sum()) > max(min_correlated, min_power)
-
-
-def nonrigid_displacement(level: Level, motion: Tensor) -> Tensor:
-    """Displacement `(N - 1, 2, 8)`, px, of motions `(N, 3, 3)` from the nearest rigid ones, along the frame's edge."""
-    h, w = (side / 2 for side in level.shape)
-    coordinates = [(x * w, y * h, 1.0) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
-    points = torch.tensor(coordinates, dtype=motion.dtype).T
-    return transform_points(motion[1:], points) - transform_points(nearest_rigid(motion[1:]), points)
+    price = (PARAMETERS["homography"] - PARAMETERS["rigid"]) * (len(motion) - 1)  # a nat each: Akaike's criterion
+    return homography if accept_by_blocks(block_ratios, min_nats=price) else motion
