@@ -17,13 +17,13 @@ from deepir.optim.low_order_model import apply_lag
 from deepir.optim.solve import solve
 from deepir.problem import Problem
 from deepir.problems.nuc import NUC
+from deepir.problems.recipe import TRIAL_ITERATIONS
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage
 
 MAX_MOTION_PER_SUBSTEP = 1.0  # px: above, the flux between two instants is a guess
 MAX_SUBSTEPS = 16  # more mean that the camera jumps
 HALF_SPEED = 0.5  # of the speed after the first frame
-TRIAL_ITERATIONS = 40  # that decide whether the camera was moving before the first frame
 FIRST_FRAME_MISFIT = 1.15  # residual of the first frame relative to that of the others, that is reported
 
 
