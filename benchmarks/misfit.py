@@ -37,7 +37,7 @@ FAULTS: dict[str, tuple[str, ...]] = {
     "refocus": ("unsharp-frames",),
     "motion blur": ("unsharp-frames",),
     "lag": ("thermal-lag",),
-    "zoom and tilt": ("frames-bend",),
+    "zoom and tilt": (),  # its motion is found
     "parallax": ("parallax",),
     "drifting shading": ("shading-changes",),
     "a still part": ("still-region",),
@@ -118,10 +118,10 @@ def faulty(  # noqa: PLR0912 - a branch for each fault
         elif fault == "sub-pages":
             frames[k] = camera.view(k, down * ((x + y) % 2), across * ((x + y) % 2))
         elif fault == "zoom and tilt":
-            v, u = y / SIZE[0] - 0.5, x / SIZE[1] - 0.5
-            zoom, pitch, yaw = 3 * strength * rng.normal(size=3)
-            turn = zoom + pitch * v + yaw * u
-            frames[k] = camera.view(k, turn * v, turn * u)
+            v, u = y - SIZE[0] / 2, x - SIZE[1] / 2
+            zoom, pitch, yaw = 0.03 * strength * rng.normal(size=3)
+            scale = (1 + zoom) / (1 + pitch * v / SIZE[0] + yaw * u / SIZE[1])
+            frames[k] = camera.view(k, (scale - 1) * v, (scale - 1) * u)
         elif fault == "parallax":
             depth = np.cos(x / 30 + 1) * np.sin(y / 25)
             frames[k] = camera.view(k, *(0.2 * strength * depth * each for each in camera.at[k]))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.samples import MAD_TO_SIGMA, Array, autocorrelation
 from deepir.arrays.statistics import median
-from deepir.diagnostics.misfit import misfit
+from deepir.diagnostics.misfit import CAUSES, misfit
 from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
@@ -63,11 +63,11 @@ def misfit_message(problem: Problem, said: Sequence[str] = ()) -> list[str]:
 
 def misses_bending(problem: Problem) -> bool:
     """Whether what rigid motion of the frames misses is that of a homography."""
-    message, nats, _ = _misfit(problem)
+    message, nats, _ = _misfit(problem, [each for each in CAUSES if each.name != "parallax"])  # which is any motion
     return message.name == "frames-bend" and nats > MIN_MISFIT
 
 
-def _misfit(problem: Problem) -> tuple[Message, float, list[int]]:
+def _misfit(problem: Problem, among: Sequence[Message] = CAUSES) -> tuple[Message, float, list[int]]:
     """`misfit` of a problem that ends in a sensor."""
     values = problem.values()
     residual = problem.data - problem.predict(values)
@@ -75,7 +75,8 @@ def _misfit(problem: Problem) -> tuple[Message, float, list[int]]:
     whole = problem.precision.amax(0, keepdim=True).where(problem.moving, problem.precision)
     gain = values[problem.slots[f"{problem.operator.named()[-1][0]}.gain"]]
     images = (residual, problem.precision, whole, problem.flux(values), gain)
-    return misfit(*(each[:, 0].numpy(force=True) for each in images))
+    left, precision, whole_precision, flux, gains = (each[:, 0].numpy(force=True) for each in images)
+    return misfit(left, precision, whole_precision, flux, gains, among)
 
 
 @torch.no_grad()

@@ -70,7 +70,7 @@ CAUSES = (
 
 
 def misfit(
-    residual: Array, precision: Array, whole: Array, flux: Array, gain: Array
+    residual: Array, precision: Array, whole: Array, flux: Array, gain: Array, among: Sequence[Message] = CAUSES
 ) -> tuple[Message, float, list[int]]:
     """The cause that explains most of the residuals.
 
@@ -80,38 +80,40 @@ def misfit(
         whole: The same with the samples that were given up as moving.
         flux: On the detector, (N, h, w).
         gain: Of the pixels, (1, h, w) or (N, h, w).
+        among: The causes that are asked for.
 
     Returns:
         Its message, its evidence in nats a sample (none of frames below 24 px), and the frames that show it most.
     """
     if min(residual.shape[1:]) < BANDS:
-        return CAUSES[0], 0.0, []
+        return among[0], 0.0, []
     found = causes(residual, precision, whole, flux, gain)
-    message = max(CAUSES, key=lambda each: float(found[each.name].sum()))
-    nats, count = found[message.name], int(np.count_nonzero(whole[_some(whole)]))
-    return message, float(nats.sum()) / max(1, count), np.flatnonzero(4 * nats > nats.max()).tolist()
+    message = max(among, key=lambda each: float(found[each.name].sum()))
+    nats = found[message.name]
+    return message, float(nats.sum()), np.flatnonzero(4 * nats > nats.max()).tolist()
 
 
 def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: Array) -> dict[str, Array]:
-    """Evidence of each cause: name of its message, and nats of each frame (N,); arguments as of `misfit`."""
+    """Evidence of each cause: name of its message, and nats of each frame (N,) over the number of all samples."""
     before, after = -np.diff(flux, axis=0, prepend=flux[:1]), np.diff(flux, axis=0, append=flux[-1:])
-    slope = [_along(flux, axis, (-0.5, 0, 0.5)) for axis in (1, 2)]
-    curvature = [_along(flux, axis, (1, -2, 1)) for axis in (1, 2)]
-    curvature.append(_along(slope[0], 2, (-0.5, 0, 0.5)))
-    some, half = _some(flux), max(flux.shape[1:]) / 2
+    derivatives = [_along(flux, axis, taps) for taps in ((-0.5, 0, 0.5), (1, -2, 1)) for axis in (1, 2)]
+    derivatives.append(_along(derivatives[0], 2, (-0.5, 0, 0.5)))
+    some = np.s_[..., :: flux.shape[2] // COLUMNS // 2 * 2 + 1]  # an odd step: a chessboard stays one
+    half = max(flux.shape[1:]) / 2
     y, x = (((np.arange(side) - (side - 1) / 2) / half).astype(np.float32) for side in flux.shape[1:])
-    residual, precision, whole, flux, gain, before, after, *slopes = (
-        each[some] for each in (residual, precision, whole, flux, gain, before, after, *slope, *curvature)
+    residual, precision, whole, flux, gain, before, after, *derivatives = (
+        each[some] for each in (residual, precision, whole, flux, gain, before, after, *derivatives)
     )
     weight, white = _whitened(residual, whole, flux * gain)
     torn = np.maximum(*(_torn(change * gain * weight, white) for change in (before, after)))
     weight, white = _whitened(residual, precision, flux * gain)
     response = gain * weight
-    slope, curvature = [each * response for each in slopes[:2]], [each * response for each in slopes[2:]]
+    seen = [each * response for each in derivatives]
+    slope, curvature = seen[:2], seen[2:]
     height, width = white.shape[1:]
     rows = (np.arange(height, dtype=np.float32) % 2 * 2 - 1)[:, None]
     chessboard = rows * (np.arange(width, dtype=np.float32) % 2 * 2 - 1)
-    return {
+    found = {
         "torn-frames": torn - np.median(torn),  # in a few frames: in all of them it is a lag
         "rows-displaced": np.maximum(*(_nats(slope, white, (n, 1)) for n in (BANDS, height))),
         "interlaced-frames": _nats([each * rows for each in slope], white, (1, 1)),
@@ -122,11 +124,7 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
         "unsharp-frames": _nats(curvature, white, (1, 1), softer=True),
         "thermal-lag": _nats([before * response], white, (1, 1)),
     }
-
-
-def _some(images: Array) -> Any:
-    """Every so manieth column, an odd number, so that a chessboard stays one."""
-    return np.s_[..., :: images.shape[-1] // COLUMNS // 2 * 2 + 1]
+    return {name: nats / max(1, np.count_nonzero(whole)) for name, nats in found.items()}
 
 
 def _bending(down: Array, across: Array, y: Array, x: Array, white: Array) -> Array:
