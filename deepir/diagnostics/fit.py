@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.samples import MAD_TO_SIGMA, Array, autocorrelation
 from deepir.arrays.statistics import median
-from deepir.diagnostics.misfit import CAUSES, misfit
+from deepir.diagnostics.misfit import CAUSES, MIN_MISFIT, misfit
 from deepir.messages import Message
 from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import identity
@@ -24,8 +24,6 @@ from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import log_likelihood_ratio
 
-#: Evidence from which a cause of a misfit is named, nats a sample; without one it is 0.006 at most.
-MIN_MISFIT = 0.012
 #: Nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong.
 MIN_MOTION_NATS = 0.3
 #: The same before a scene that repeats itself: if all frames register, and if fewer than a share do, since frames of

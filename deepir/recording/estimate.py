@@ -16,7 +16,7 @@ import numpy as np
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.calibration import CorrectionMaps
-from deepir.diagnostics.misfit import misfit
+from deepir.diagnostics.misfit import MIN_MISFIT, misfit
 from deepir.errors import DataError
 from deepir.io.inspection.samples import saturated_samples
 from deepir.kernels.block_means import block_means
@@ -40,8 +40,8 @@ Array = np.ndarray[Any, Any]
 MIN_KEYFRAMES = 4
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
-#: px, error of the motion from which frames do not register as a whole: 0.05 to 0.25 hand-held, 0.3 to 2.5 where the
-#: camera moves among near things.
+#: px, error of the motion from which frames do not register as a whole, if their residuals have a cause too: 0.05 to
+#: 0.25 hand-held, 0.3 to 2.5 where the camera moves among near things; sharp edges alone make up to 0.45.
 MAX_MOTION_ERROR = 0.3
 #: Nats a sample for another cause from which they do not either: 0.15 at most where they do (hand-held, hot spots, and
 #: simulated pans of seeds 0 to 10), 0.22 and more in two pieces of a drive whose solution was worse than raw.
@@ -200,7 +200,7 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         return None
     burst, numbers, shared = found
     solution = solve_sensor(burst, shared)
-    if solution.motion_error > MAX_MOTION_ERROR or _misfit(burst, solution) > MAX_MISFIT:
+    if _misfit(burst, solution) > (MIN_MISFIT if solution.motion_error > MAX_MOTION_ERROR else MAX_MISFIT):
         return None
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)

@@ -5,8 +5,7 @@ import pytest
 from scipy import ndimage
 
 import deepir
-from deepir.diagnostics.fit import MIN_MISFIT
-from deepir.diagnostics.misfit import CAUSES, misfit
+from deepir.diagnostics.misfit import CAUSES, MIN_MISFIT, misfit
 from deepir.simulate import Settings, simulate
 from tests.effects.solved import burst, solved
 
