@@ -95,7 +95,7 @@ WARNINGS = {
         "Leave them out with `data.frames`, or model each frame's blur with `per_frame` of operator `blur`.",
     ),
     "frames-bend": (
-        "The frames stretch or bend against each other: the camera zooms, tilts, or has a wide lens.",
+        "The camera zooms or tilts, or has a wide lens.",
         "Set `physics.warp.motion.type=homography`.",
     ),
     "parallax": (

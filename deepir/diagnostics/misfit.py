@@ -56,8 +56,8 @@ CAUSES = (
     ),
     Message(
         "frames-bend",
-        "the frames stretch or bend against each other, as where the camera zooms, tilts or looks through a wide lens, "
-        "and rigid motion does not follow. Set `physics.warp.motion.type=homography`",
+        "the frames stretch or bend against each other (zoom, tilt), which rigid motion does not follow. Set "
+        "`physics.warp.motion.type=homography`",
     ),
     Message(
         "parallax",
