@@ -159,7 +159,7 @@ def measure(fault: str, seed: int) -> Arrays:
 def page(found: Mapping[Cell, Arrays], seeds: int) -> Iterator[str]:
     yield "# Faults that are named\n"
     yield (
-        f"Bursts of {FRAMES} frames of {SIZE[0]} x {SIZE[1]} px with one fault each, of a strength that is drawn, "
+        f"Bursts of {FRAMES} frames of {SIZE[0]} x {SIZE[1]} px, one fault each, of drawn strength, "
         f"{seeds} seeds; `nuc` by its defaults. Even seeds were looked at while the messages were made, odd ones were "
         "not. [How a fault is found](../explanation/accuracy.md#residuals-that-are-not-noise)\n"
     )
