@@ -96,7 +96,7 @@ WARNINGS = {
     ),
     "frames-bend": (
         "The camera zooms or tilts, or has a wide lens.",
-        "Set `physics.warp.motion.type=homography`.",
+        "Set `physics.warp.motion.type=auto`.",
     ),
     "parallax": (
         "Near and far parts of the scene move by different amounts, which one motion of the frame does not follow.",

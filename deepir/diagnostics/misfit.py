@@ -57,7 +57,7 @@ CAUSES = (
     Message(
         "frames-bend",
         "the frames stretch or bend against each other (zoom, tilt), which rigid motion does not follow. Set "
-        "`physics.warp.motion.type=homography`",
+        "`physics.warp.motion.type=auto`",
     ),
     Message(
         "parallax",
