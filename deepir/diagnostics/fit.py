@@ -59,6 +59,7 @@ def misfit_message(problem: Problem, said: Sequence[str] = ()) -> list[str]:
     return [Message(message.name, f"{message}{few}")]
 
 
+@torch.no_grad()
 def misses_bending(problem: Problem) -> bool:
     """Whether what rigid motion of the frames misses is that of a homography."""
     message, nats, _ = _misfit(problem, [each for each in CAUSES if each.name != "parallax"])  # which is any motion

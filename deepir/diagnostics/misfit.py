@@ -101,8 +101,7 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
     derivatives = [_along(flux, axis, taps) for taps in ((-0.5, 0, 0.5), (1, -2, 1)) for axis in (1, 2)]
     derivatives.append(_along(derivatives[0], 2, (-0.5, 0, 0.5)))
     some = np.s_[..., :: flux.shape[2] // COLUMNS // 2 * 2 + 1]  # an odd step: a chessboard stays one
-    half = max(flux.shape[1:]) / 2
-    y, x = (((np.arange(side) - (side - 1) / 2) / half).astype(np.float32) for side in flux.shape[1:])
+    y, x = ((2 * np.arange(side, dtype=np.float32) - side + 1) / max(flux.shape[1:]) for side in flux.shape[1:])
     residual, precision, whole, flux, gain, before, after, *derivatives = (
         each[some] for each in (residual, precision, whole, flux, gain, before, after, *derivatives)
     )
@@ -110,8 +109,7 @@ def causes(residual: Array, precision: Array, whole: Array, flux: Array, gain: A
     torn = np.maximum(*(_torn(change * gain * weight, white) for change in (before, after)))
     weight, white = _whitened(residual, precision, flux * gain)
     response = gain * weight
-    seen = [each * response for each in derivatives]
-    slope, curvature = seen[:2], seen[2:]
+    slope, curvature = ([each * response for each in part] for part in (derivatives[:2], derivatives[2:]))
     height, width = white.shape[1:]
     rows = (np.arange(height, dtype=np.float32) % 2 * 2 - 1)[:, None]
     chessboard = rows * (np.arange(width, dtype=np.float32) % 2 * 2 - 1)

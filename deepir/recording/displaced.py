@@ -42,10 +42,9 @@ BLOCK = 16  # px, side of the blocks in which the strength of the fine part is t
 MAX_UNEVENNESS = 1.2
 MIN_KNOWN = 0.05  # share of a frame whose displacement is known, so that the frame is used
 LEVEL_STEP = 20.0  # standard deviation of the levels' steps, in sigmas of the noise
-#: Strength of what the low-order part has beside a multiple of the scenes' mean, relative to that mean and multiple
-#: together, from which it is the sensor's. What scenes have in common stays with the offset, as a road that is darker
-#: the flatter it is seen: mostly a multiple of their mean, 0.1 to 0.9. Beside it were 0.1 to 0.52 in 24 drives of a
-#: weak low-order part, in 15 simulated ones, and of cameras that are corrected; 0.68 to 3 in 20 of a strong one.
+#: Strength of what the low-order part has beside a multiple of the scenes' mean, relative to both, from which it is the
+#: sensor's. What scenes share stays in it, as a road that is darker the flatter it is seen: mostly a multiple of their
+#: mean. Beside it: 0.1 to 0.52 in 40 drives of weak shading and corrected cameras, 0.68 to 3 in 20 of strong shading.
 MIN_BESIDE_SCENE = 0.6
 
 

@@ -200,7 +200,9 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         return None
     burst, numbers, shared = found
     solution = solve_sensor(burst, shared)
-    if _misfit(burst, solution) > (MIN_MISFIT if solution.motion_error > MAX_MOTION_ERROR else MAX_MISFIT):
+    if unsure := solution.motion_error > MAX_MOTION_ERROR:  # at rest, all of the scene may pass for the pattern
+        _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+    if _misfit(burst, solution) > (MIN_MISFIT if unsure else MAX_MISFIT):
         return None
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)

@@ -71,3 +71,8 @@ def test_pictures_of_flir_hold_the_counts_that_flyr_finds(data, name, mean):
     """Means of the raw planes as flyr 5.1.0 reads them."""
     read = read_frames(data / "radiometric_jpg" / f"flir_{name}_cc0.jpg")
     assert read.frames.mean(dtype=np.float64) == pytest.approx(mean, rel=1e-9)
+
+
+def test_a_camera_of_a_trap_that_stands_still_is_refused(data, tmp_path):
+    found = CliRunner().invoke(app, ["correct", str(data / "lepton" / "v2.cptv"), "--output", str(tmp_path / "a.tif")])
+    assert "stands still" in str(found.exception)

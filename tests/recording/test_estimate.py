@@ -118,7 +118,8 @@ def test_one_frame_is_refused(walk):
 
 def test_a_gain_that_makes_the_offset_is_found_in_a_scene_of_little_contrast():
     """Far from the camera's zero a pixel's gain makes most of its pattern, and the pattern tells the gain."""
-    camera = RecordingSettings(kind="walk", n_frames=60, shape=(96, 128), dead_pixels=0.0)
-    recording = simulate_recording(camera, seed=23)
+    recording = simulate_recording(
+        RecordingSettings(kind="walk", n_frames=60, shape=(96, 128), dead_pixels=0.0), seed=23
+    )
     found, truth = correct(recording.frames).maps.gain, recording.truth.gain
     assert np.std(found / found.mean() - truth / truth.mean()) < 0.5 * truth.std()
