@@ -46,7 +46,7 @@ SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
 #: in the offset.
 COMMON_SHARE = 0.15
 STEEP = 0.9  # quantile of the scene's slope, from which samples tell the error of the motion
-#: px, standard deviation of the shifts along an axis, from which they tell what varies along it.
+#: px, standard deviation of the motion along an axis, from which it tells what varies along it.
 MIN_MOTION = 0.1
 NOISE_STRIDE = 2  # px, of the samples that the noise is measured in
 CANDIDATES = 48  # frames that are registered to a reference, at most
@@ -161,9 +161,8 @@ class Burst:
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
         self.common_error = shown * common**2 / self.phase_change
-        shifts = np.eye(3) + self.canvas.motion * (np.arange(3) == 2) * (np.arange(3)[:, None] < 2)
         least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
-        self.tells = phase_change(shifts, self.canvas.size) > least
+        self.tells = phase_change(_rigid(self.canvas.motion), self.canvas.size) > least
         self._motions = np.stack(motion_gradients(down, across, y, x), 1)
         normal = np.einsum("kihw,kjhw,khw->kij", self._motions, self._motions, self.weights, optimize=True)
         self._motion_covariance = np.linalg.inv(normal.astype(float) + np.eye(8) / SHIFT_ERROR**2)
@@ -217,6 +216,17 @@ def _motion_error(rest: Array, steepness: Array, seen: Array) -> float:
 def _smoothed(values: Array) -> Array:
     """Means (n, h, w) around each sample: weights that change from pixel to pixel do not survive interpolation."""
     return np.asarray(ndimage.gaussian_filter(values, (0, WEIGHT_SIGMA, WEIGHT_SIGMA)))
+
+
+def _rigid(motion: Array) -> Array:
+    """Shift and turn of homographies (n, 3, 3) that are near one; the rest of them is small, and mostly error."""
+    turn = np.arctan2(motion[:, 1, 0] - motion[:, 0, 1], motion[:, 0, 0] + motion[:, 1, 1])
+    found = np.tile(np.eye(3), (len(motion), 1, 1))
+    found[:, 0, 0] = found[:, 1, 1] = np.cos(turn)
+    found[:, 1, 0] = np.sin(turn)
+    found[:, 0, 1] = -found[:, 1, 0]
+    found[:, :2, 2] = motion[:, :2, 2]
+    return found
 
 
 def phase_change(motion: Array, size: Sequence[int]) -> Array:

@@ -49,8 +49,10 @@ def defective_pixels(frames: Array, expected: Array, rounding: float = 0.0) -> A
     usual = np.maximum(median_filter(deviation, NEIGHBOURHOOD), max(float(np.median(deviation)), rounding))
     usual = np.maximum(usual, np.finfo(np.float32).tiny)
     constant = frames - np.median(frames, axis=0)
-    # Cauchy's likelihood: what moves by itself, and edges, are in few frames.
-    gain = np.log1p((apart / usual) ** 2) - np.log1p((constant / usual) ** 2)
+    # Deviations within half a step of the rounding tell nothing. Cauchy's likelihood: what moves by itself, and edges,
+    # are in few frames.
+    unexplained = [np.maximum(np.abs(each) - 3**0.5 * rounding, 0) / usual for each in (apart, constant)]
+    gain = np.log1p(unexplained[0] ** 2) - np.log1p(unexplained[1] ** 2)
     return np.asarray((gain.sum(0) > CLEAR) | (deviation > NOISE_RATIO * usual))
 
 

@@ -109,10 +109,11 @@ def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | No
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(burst, offset, gain)
+    left = np.where(told, 0.0, broad + (dct(start) - dct(offset)) ** 2)  # what may be the scene's, or not
     if not low_order:
-        covariance = covariance + np.diag(modes.variances(np.where(told, 0.0, broad)))
+        covariance = covariance + np.diag(modes.variances(left))
         low_order = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
-    fine_variance = np.where(told, posterior, broad)[fine].sum() / posterior.size + extrapolated
+    fine_variance = (np.where(told, posterior, 0.0) + left)[fine].sum() / posterior.size + extrapolated
     deviation = np.sqrt(low_order[1] + fine_variance)
     return SensorSolution(offset - offset.mean(), gain, deviation, low_order, burst.motion_error, burst.noise)
 

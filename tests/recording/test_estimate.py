@@ -55,6 +55,15 @@ def test_rounding_makes_no_pixel_of_a_corrected_recording_defective(walk):
     assert judged((walk.scenes[::5] / 8).round().astype(np.float32)).mean() < 1e-3
 
 
+@pytest.mark.parametrize("change", [1.0, 0.5, 0.3])
+def test_a_scene_that_changes_by_less_than_a_step_of_rounding_makes_no_pixel_defective(change):
+    rng = np.random.default_rng(0)
+    scene, offset = ndimage.gaussian_filter(rng.standard_normal((24, 64, 80)), (3, 8, 8)), rng.standard_normal((64, 80))
+    frames = np.round(100 + change * scene / scene.std() + 1.5 * offset).astype(np.float32)
+    rounding, corrected = rounding_deviation(frames[0]), frames - 1.5 * offset.astype(np.float32)
+    assert defective_pixels(corrected, of_neighbours(corrected), rounding).mean() < 1e-3
+
+
 def test_the_pattern_of_a_camera_that_moves_is_found(walk, corrected):
     found, good = corrected.estimate, ~walk.bad
     assert found.kept == "gain and offset"
