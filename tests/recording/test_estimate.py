@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from skimage import data
 
 import deepir
 from deepir.correct_recording import correct
@@ -89,6 +90,22 @@ def test_a_camera_that_turns_one_way_separates_the_shading_along_it_and_says_so(
     assert (slow - walk.slow).mean(0)[10:-10].std() < 0.4 * walk.slow.mean(0).std()
     assert slow.mean(1).std() < 0.3 * walk.slow.mean(1).std()
     assert any(way in message for message in found.messages)
+    error = found.offset - walk.fine - walk.slow
+    assert np.mean(np.abs(error - error.mean()) < found.offset_deviation) > 0.5
+
+
+def test_turns_about_the_line_of_sight_separate_the_shading_across_a_pan(walk):
+    picture, rng = 8000 + 4.0 * ndimage.gaussian_filter(data.camera().astype(float), 0.8), np.random.default_rng(0)
+    y, x = (each - (side - 1) / 2 for each, side in zip(np.indices(walk.slow.shape), walk.slow.shape, strict=True))
+    scenes = np.stack([
+        ndimage.map_coordinates(picture, [255 + y + turn * x, 255 + x - turn * y + shift], order=3)
+        for turn, shift in zip(0.015 * np.sin(np.arange(40) / 5), np.linspace(-6, 6, 40), strict=True)
+    ])  # fmt: skip
+    frames = scenes + walk.fine + walk.slow + 3 * rng.standard_normal(scenes.shape)
+    found = correct(frames.astype(np.float32)).estimate
+    left = ndimage.gaussian_filter(found.offset - walk.fine - walk.slow, 6)
+    assert left.std() < 0.1 * walk.slow.std()
+    assert not found.messages
 
 
 def test_a_few_frames_are_corrected_as_nuc_corrects_them(walk):
