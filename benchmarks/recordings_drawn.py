@@ -45,7 +45,7 @@ def load(family: str, name: str, seed: int) -> Case:
         return (
             drawn().score(corrected, frames, truth)
             | limit
-            | covered(error, correction.deviation)
+            | covered(error if correction.offset is None else correction.offset - truth["pattern"], correction.deviation)
             | bad_pixels(correction.bad_pixels, no_bad)
         )
 

@@ -28,6 +28,7 @@ class Correction:
         correct: Corrects a frame (h, w) of a number.
         bad_pixels: (h, w) bool; None where the method seeks none.
         deviation: (h, w), stated standard deviation of the offset; None where nothing is stated.
+        offset: (h, w), for which it is stated; None: for the mean of what is taken off the frames.
         kept: What was corrected, in words.
         maps: Gain and offset (h, w) of other frames of the camera.
     """
@@ -35,6 +36,7 @@ class Correction:
     correct: Callable[[Array, int], Array]
     bad_pixels: Array | None = None
     deviation: Array | None = None
+    offset: Array | None = None
     kept: str = ""
     maps: tuple[Array | float, Array] | None = None
 
@@ -46,9 +48,9 @@ def correct(frames: Array, apart: int) -> Correction:
     """`deepir correct`."""
     found = deepir.correct(frames)
     parts = f", {len(found.segments)} segments" if len(found.segments) > 1 else ""
-    deviation = getattr(found.estimate, "offset_deviation", None)
-    maps = found.maps.gain, found.maps.offset
-    return Correction(found.correct, found.maps.bad_pixels, deviation, found.estimate.kept + parts, maps)
+    sensor, maps = found.estimate, (found.maps.gain, found.maps.offset)
+    kept = sensor.kept + parts
+    return Correction(found.correct, sensor.bad_pixels, sensor.offset_deviation, sensor.offset, kept, maps)
 
 
 def burst(problem: str, frames: Array, apart: int) -> Correction:
