@@ -41,11 +41,14 @@ def load(family: str, name: str, seed: int) -> Case:
     limit = {"limit": low_order_limit(drawn(), make.args)} if family == "hand-held" else {}
 
     def judge(corrected: np.ndarray, correction: Correction) -> Figures:
-        error = mean_error(corrected, truth["scene"], truth.get("gain"))
+        if correction.offset is None:
+            error = mean_error(corrected, truth["scene"], truth.get("gain"))
+        else:
+            error = correction.offset - truth["pattern"]
         return (
             drawn().score(corrected, frames, truth)
             | limit
-            | covered(error if correction.offset is None else correction.offset - truth["pattern"], correction.deviation)
+            | covered(error, correction.deviation)
             | bad_pixels(correction.bad_pixels, no_bad)
         )
 
