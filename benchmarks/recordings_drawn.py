@@ -38,7 +38,12 @@ def load(family: str, name: str, seed: int) -> Case:
     frames, truth = make()
     #: The patterns of hand-held windows have none; the film of the drive has some of its own.
     no_bad = None if family == "drive" else np.zeros(frames.shape[1:], bool)
-    limit = {"limit": low_order_limit(drawn(), make.args)} if family == "hand-held" else {}
+    limit: Figures = {}
+    if family == "hand-held":
+        limit["limit"] = low_order_limit(drawn(), make.args)
+    elif family == "agc":  # clipped samples: what the true pattern leaves
+        without = frames - truth["gain"][:, None, None] * truth["pattern"]
+        limit["limit"] = drawn().score(without, frames, truth)["low"]
 
     def judge(corrected: np.ndarray, correction: Correction) -> Figures:
         if correction.offset is None:
