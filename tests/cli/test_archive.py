@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deepir.cli import archive
+from deepir.cli import correction
 from deepir.simulate import Settings, simulate
 
 
@@ -37,7 +37,7 @@ def quick(monkeypatch):
             path.write_text(config.data.path)
         return Found()
 
-    monkeypatch.setattr(archive, "correct_file", stand_in)
+    monkeypatch.setattr(correction, "correct_file", stand_in)
     return corrected
 
 
@@ -80,7 +80,7 @@ def test_what_changed_is_done_again_and_what_was_cut_short_for_the_first_time(de
 
 def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings, folder, quick, monkeypatch):
     (recordings / "b.npz").write_bytes(b"damaged")
-    stand_in = archive.correct_file
+    stand_in = correction.correct_file
 
     def reading(config, *outputs, **how):
         from deepir.io import stream_data
@@ -88,7 +88,7 @@ def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings
         next(stream_data(config.data))
         return stand_in(config, *outputs, **how)
 
-    monkeypatch.setattr(archive, "correct_file", reading)
+    monkeypatch.setattr(correction, "correct_file", reading)
     status, out, _ = deepir("correct", "in", "--output-dir", "out")
     assert status == 2
     assert [each["status"] for each in lines(out)] == ["corrected", "refused", "corrected"]
@@ -97,7 +97,7 @@ def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings
     def broken(config, *outputs, **how):
         raise ZeroDivisionError("of nothing")
 
-    monkeypatch.setattr(archive, "correct_file", broken)
+    monkeypatch.setattr(correction, "correct_file", broken)
     status, out, _ = deepir("correct", "in", "--output-dir", "other")
     assert status == 1
     assert lines(out)[0]["messages"][0].startswith("ZeroDivisionError: of nothing (test_archive.py:")

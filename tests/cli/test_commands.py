@@ -195,7 +195,7 @@ def test_simulate_takes_a_scene_by_name_or_a_picture(deepir, folder, scene):
 
 
 def test_demo_prints_what_it_gains_and_runs_again(deepir, folder, monkeypatch):
-    monkeypatch.setattr(sys.modules["deepir.cli.commands.run"], "DEMO_SHAPE", (40, 48))
+    monkeypatch.setattr("deepir.cli.runs.DEMO_SHAPE", (40, 48))
     for _ in range(2):
         status, out, err = deepir("demo")
         assert status == 0, err
