@@ -40,7 +40,7 @@ def test_frames_are_written_in_their_own_type(deepir, recording):
 def test_raw_frames_pass_from_standard_input_to_standard_output(deepir, recording, monkeypatch, crop, left):
     incoming, outgoing = io.BytesIO(recording.tobytes()), io.BytesIO()
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=incoming))
-    monkeypatch.setattr("deepir.cli.live_frames.standard_output", lambda: outgoing)
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(outgoing))
     sizes = "data.raw.width=32", "data.raw.height=24", *crop
     status, _, err = deepir("live", "-", *sizes, "--fast", "--output", "-")
     assert status == 0, err
