@@ -22,7 +22,6 @@ from deepir.cli.terminal import Interruptible, echo, notify
 from deepir.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from deepir.cameras.camera import Captured
     from deepir.simulate import Simulation
     from deepir.simulate.recording import Recording
 
@@ -43,11 +42,18 @@ def capture(
 ) -> None:
     """Take a burst from a live camera, with advice on its motion: deepir capture burst.npz device=/dev/video2."""
     load_plugins(plugin)
-    from deepir.cameras.camera import FREEZE_TIME
+    from deepir.cameras.camera import FREEZE_TIME, Array, advice, motion_span
+    from deepir.cameras.camera import capture as take
+    from deepir.cli.live_frames import open_camera
     from deepir.io import write_npz
 
+    def on_frame(taken: Sequence[Array]) -> None:
+        next_move = advice(motion_span(taken)) if len(taken) > 1 else "move the camera, in a small circle"
+        notify(f"frame {len(taken)} of {frames}; {next_move if len(taken) < frames else 'that was the last'}")
+
     with Interruptible(), held_outputs(out, overwrite=overwrite, suffix=".npz"):
-        burst = _capture(camera, settings or (), frames, every)
+        with open_camera(camera, settings or ()) as opened:
+            burst = take(opened, frames, every, on_frame)
         write_npz(out, {"frames": burst.frames, "time": burst.times})
     if burst.longest_freeze > FREEZE_TIME:
         notify(
@@ -58,18 +64,6 @@ def capture(
     echo(f"{out}: {frames} frame(s) of {size} px, {burst.frames.dtype}, in {burst.times[-1]:.1f} seconds")
     echo(f"does it move enough? deepir analyze {out}")
     echo(f"to correct it: deepir run nuc data.path={out}")
-
-
-def _capture(name: str, settings: Sequence[str], count: int, every: float) -> Captured:
-    from deepir.cameras.camera import Array, advice, capture, motion_span
-    from deepir.cli.live_frames import open_camera
-
-    def on_frame(frames: Sequence[Array]) -> None:
-        next_move = advice(motion_span(frames)) if len(frames) > 1 else "move the camera, in a small circle"
-        notify(f"frame {len(frames)} of {count}; {next_move if len(frames) < count else 'that was the last'}")
-
-    with open_camera(name, settings) as camera:
-        return capture(camera, count, every, on_frame)
 
 
 def simulate(

@@ -87,7 +87,9 @@ class Verdict(NamedTuple):
 
 def verdict(result: Result) -> Verdict:
     """The verdict on a result: its most important warning, or what it reached."""
-    return warned(result.messages) or Verdict("good", _reached(result), _frames(result))
+    used, count = int(result.frames_used.sum()), len(result.frames_used)
+    frames = "All frames are used." if used == count else f"{used} of {count} frames are used."
+    return warned(result.messages) or Verdict("good", _reached(result), frames)
 
 
 def warned(messages: Sequence[str]) -> Verdict | None:
@@ -114,11 +116,6 @@ def _reached(result: Result) -> str:
     if np.ptp(result.gain) or np.ptp(result.offset):
         return "The pattern was separated from the scene."
     return "Nothing speaks against this result."
-
-
-def _frames(result: Result) -> str:
-    used, count = int(result.frames_used.sum()), len(result.frames_used)
-    return "All frames are used." if used == count else f"{used} of {count} frames are used."
 
 
 def write_report(path: Path, result: Result, example: Array, config: Config) -> None:

@@ -1,13 +1,20 @@
-"""`deepir resume`: after any interruption the scene is that of a run that was left alone."""
+"""`deepir resume`: after any interruption the scene is that of a run that was left alone.
+
+The last test counts a few of what `make reliability` counts: runs that are killed, race for a folder, or find a
+damaged state.
+"""
 
 import os
 import shutil
 import signal
+import subprocess
+import sys
 from contextlib import chdir, contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
+from documentation import ROOT
 
 from deepir.api import run
 from deepir.cli import main
@@ -15,13 +22,13 @@ from deepir.cli.terminal import Interrupted, Interruptible
 from deepir.errors import DataError
 from deepir.storage.folder import RunFolder
 
-RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=8")
+RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=3")
 
 
 @pytest.fixture(scope="module")
 def scene(burst):
     """The scene of a run that is left alone."""
-    return run("nuc", "solver.max_iterations=8", frames=burst.frames, threads=1).scene
+    return run("nuc", "solver.max_iterations=3", frames=burst.frames, threads=1).scene
 
 
 @contextmanager
@@ -69,7 +76,7 @@ def resumed(deepir, scene):
 
 @pytest.mark.parametrize(
     ("number", "status", "iteration"),
-    [(signal.SIGINT, 130, 1), (signal.SIGTERM, 143, 5), (signal.SIGINT, 130, 8), (signal.SIGTERM, 143, 13)],
+    [(signal.SIGINT, 130, 1), (signal.SIGTERM, 143, 5), (signal.SIGINT, 130, 6), (signal.SIGTERM, 143, 13)],
 )
 def test_after_a_signal(deepir, resumed, number, status, iteration):
     with signalled(number, iteration):
@@ -194,3 +201,15 @@ def test_a_replacement_is_interrupted_and_resumed(deepir, folder, resumed):
     assert "(interrupted); continue it with" in deepir(*RUN)[2]
     resumed()
     assert not (folder / "runs/nuc/.unfinished").exists()
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(20, marks=[pytest.mark.slow, pytest.mark.timeout(600)])])
+def test_a_result_is_whole_and_that_of_a_run_left_alone(count):
+    code = (
+        "from reliability_runs import count_runs\n"
+        "for part in ('kills', 'races', 'flipped bits'):\n"
+        f"    print(part, count_runs(part, 0, {count})['failed'])"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT / "benchmarks", capture_output=True, text=True, check=False)
+    assert done.stdout == "kills 0\nraces 0\nflipped bits 0\n", done.stderr
