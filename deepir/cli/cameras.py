@@ -44,14 +44,15 @@ def capture(
     load_plugins(plugin)
     from deepir.cameras.camera import FREEZE_TIME, Array, advice, motion_span
     from deepir.cameras.camera import capture as take
-    from deepir.cli.live_frames import open_camera
-    from deepir.io import write_npz
 
     def on_frame(taken: Sequence[Array]) -> None:
         next_move = advice(motion_span(taken)) if len(taken) > 1 else "move the camera, in a small circle"
         notify(f"frame {len(taken)} of {frames}; {next_move if len(taken) < frames else 'that was the last'}")
 
     with Interruptible(), held_outputs(out, overwrite=overwrite, suffix=".npz"):
+        from deepir.cli.live_frames import open_camera
+        from deepir.io import write_npz
+
         with open_camera(camera, settings or ()) as opened:
             burst = take(opened, frames, every, on_frame)
         write_npz(out, {"frames": burst.frames, "time": burst.times})

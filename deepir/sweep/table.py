@@ -54,13 +54,13 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     if not against:
         path.unlink(missing_ok=True)
         return
-    lines = curves(finished)
-    write_figure(path, [[_plot(lines, x, metric, legend=x == against[-1]) for x in against]])
+    write_figure(path, [[_plot(finished, x, metric, legend=x == against[-1]) for x in against]])
 
 
-def _plot(lines: Mapping[str, Sequence[Group]], x: str, metric: str, *, legend: bool) -> Image.Image:
-    """A metric against another, a line through the medians of each group, with bars from the least to the greatest."""
-    spreads = {label: np.reshape(_points(groups, x, metric), (-1, 2, 3)) for label, groups in lines.items()}
+def _plot(found: Sequence[Row], x: str, metric: str, *, legend: bool) -> Image.Image:
+    """A metric against another: lines through the medians, with bars from the least to the greatest."""
+    lines = curves(found, x, metric)
+    spreads = {label: np.reshape(points, (-1, 2, 3)) for label, points in lines.items()}
     everything = np.concatenate(list(spreads.values()))
     up = _scale(everything[:, 1], log=False)
     if few := 1 < len(lines) <= MAX_LEGEND:
@@ -73,12 +73,6 @@ def _plot(lines: Mapping[str, Sequence[Group]], x: str, metric: str, *, legend: 
             axes.line(wide, np.full(2, height), colour)
             axes.line(np.full(2, at), tall, colour)
     return axes.picture()
-
-
-def _points(groups: Sequence[Group], x: str, metric: str) -> list[tuple[Spread, Spread]]:
-    """Of groups that have both metrics, median, least and greatest of each, in the order of the first."""
-    spreads = [(group.median_range(x), group.median_range(metric)) for group in groups]
-    return sorted((across, up) for across, up in spreads if across and up)
 
 
 def _scale(values: Array, *, log: bool) -> Scale:
@@ -99,13 +93,15 @@ def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
     return finished, ["frames", "seconds"] if several else ["seconds"]
 
 
-def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
-    """Groups that differ only in the number of frames, by their common values."""
-    lines: dict[str, list[Group]] = {}
+def curves(found: Sequence[Row], x: str, metric: str) -> dict[str, list[tuple[Spread, Spread]]]:
+    """Points of a metric against another, in the order of x; one curve where only the number of frames differs."""
+    lines: dict[str, list[tuple[Spread, Spread]]] = {}
     for group in group_rows(found, AVERAGED_AXES):
         label = ", ".join(value for key, value in group.values.items() if key != FRAMES_AXIS)
-        lines.setdefault(label, []).append(group)
-    return lines
+        points, across, up = lines.setdefault(label, []), group.median_range(x), group.median_range(metric)
+        if across and up:
+            points.append((across, up))
+    return {label: sorted(points) for label, points in lines.items()}
 
 
 def write_report(path: Path, found: Sequence[Row], title: str) -> None:
@@ -125,7 +121,13 @@ def write_report(path: Path, found: Sequence[Row], title: str) -> None:
             for group in groups
         ],
         "most": metrics[0] == "psnr_aligned",  # the first metric is best where it is greatest; others: least
-        "curves": {x: _curves(curves(finished), x, metrics[0]) for x in against},
+        "curves": {
+            x: [
+                {"name": name, "points": [(across[0], *up) for across, up in points]}
+                for name, points in curves(finished, x, metrics[0]).items()
+            ]
+            for x in against
+        },
     }
     write_page(path, "sweep.html", ("plots.js", "sweep.js"), data)
 
@@ -135,14 +137,6 @@ def _run(folder: Path, row: Row) -> dict[str, Any]:
     report = folder / row.name / "report.html"
     link = f"{quote(row.name)}/report.html" if report.is_file() else None
     return {"name": row.name, "link": link, "done": bool(row.metrics), "error": printable(row.error)}
-
-
-def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str, Any]]:
-    """Name, and (x, median, least, greatest) of each point, of each line."""
-    return [
-        {"name": name, "points": [(across[0], *up) for across, up in _points(groups, x, metric)]}
-        for name, groups in lines.items()
-    ]
 
 
 @dataclass(frozen=True)
