@@ -12,7 +12,6 @@ from documentation import ROOT, blocks
 
 import deepir
 from deepir import registry
-from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
@@ -226,8 +225,3 @@ def test_the_course_of_a_run_is_logged(monkeypatch):
     exec(shown("wandb"), {"frames": burst.frames})
     assert len(logs[0].logged) > 10
     assert logs[0].summary["noise"] > 0
-
-
-def test_scalars_of_numpy_are_numbers_in_a_configuration():
-    config = load("nuc", [], {"noise": {"read": np.float64(0.5)}, "seed": np.int64(3)})
-    assert (config.noise.read, config.seed) == (0.5, 3)

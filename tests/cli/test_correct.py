@@ -52,7 +52,7 @@ def fixed_pattern(frames, scenes):
     return np.std(np.diff(difference, axis=1))
 
 
-def test_the_fixed_pattern_is_taken_off_and_maps_can_be_applied(deepir, folder, walk, recording):
+def test_the_fixed_pattern_is_taken_off_and_maps_can_be_applied(deepir, folder, walk, estimated, recording):
     scenes, frames = recording
     assert deepir("correct", "walk.npz")[0] == 0
     ends = (".tif", "_maps.npz", ".png", ".html")

@@ -108,7 +108,7 @@ def test_a_port_that_is_taken_is_one_line(refused, recording):
     pytest.importorskip("uvicorn", reason="no uvicorn: pip install 'deepir[live]'")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         command = ("live", "drive.npy", "--page", "--port", taken.getsockname()[1])
-        refused(command, "choose another with --port")
+        refused(command, "in use; choose another with --port")
 
 
 def test_only_a_page_needs_its_libraries(recording):
