@@ -149,8 +149,8 @@ def execute(
     Returns:
         The result; its metrics include time, memory and scores.
     """
+    start = time.perf_counter()
     if data.bands:
-        start = time.perf_counter()
         whole = solve_bands(data, lambda band: execute(config, band, callbacks=callbacks))
         whole.metrics |= {
             "seconds": round(time.perf_counter() - start, 3),
@@ -158,7 +158,6 @@ def execute(
             "input_sha256": data.sha256,
         }
         return whole
-    start = time.perf_counter()
     name, method = chosen(config)
     with threads.for_samples(data.frames.size, config.threads), memory.kept(), seeded(config.seed):
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)

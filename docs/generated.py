@@ -79,13 +79,13 @@ SEVERITIES = {
 TOPICS = {
     "Cameras and live correction": (
         "`deepir capture` and `deepir live`.",
-        ("cameras", "live", "cli.live_frames", "cli.commands.live", "cli.commands.capture"),
+        ("cameras", "live", "cli.live_frames", "cli.cameras"),
     ),
-    "Simulation": ("`data.simulate` and `deepir simulate`.", ("simulate", "cli.commands.simulate")),
+    "Simulation": ("`data.simulate` and `deepir simulate`.", ("simulate",)),
     "Files and frames": (
         "Reading and writing; `data` in the configuration. A file that is damaged or truncated was not copied or "
         "recorded in full: copy or export it again.",
-        ("io", "burst", "calibration", "weights", "cli.commands.apply"),
+        ("io", "burst", "calibration", "weights", "cli.recordings"),
     ),
     "Configuration": (
         "A misspelt key is reported as `no option '…'; did you mean '…'?`, a value of the wrong type as "
@@ -101,7 +101,7 @@ TOPICS = {
         ("pipeline", "problems", "registration", "recording", "baselines", "optim", "closed_form", "problem"),
     ),
     "Runs and their folders": ("`deepir run` and `deepir resume`.", ("storage", "runner")),
-    "Comparisons": ("`deepir compare` and `deepir batch`.", ("sweep", "cli.commands.compare")),
+    "Comparisons": ("`deepir compare` and `deepir batch`.", ("sweep", "cli.runs")),
     "Others": ("The command line, and what serves authors of plugins.", ("",)),
 }
 #: Function -> what it reports.

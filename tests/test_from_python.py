@@ -12,7 +12,6 @@ from documentation import ROOT, blocks
 
 import deepir
 from deepir import registry
-from deepir.config import load
 from deepir.errors import ConfigError, DataError
 from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
@@ -24,7 +23,7 @@ from deepir.priors.penalties.tv import TV
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.recipe import Recipe
-from deepir.result import neutral
+from deepir.result import Result, neutral
 from deepir.simulate import Settings, simulate
 
 QUICK = ("prior=tv", "threads=1", "solver.max_iterations=1")
@@ -47,6 +46,24 @@ def test_a_truth_of_another_size_is_refused(burst):
         deepir.run("nuc", *QUICK, frames=burst.frames, truth=burst.truth.scene[1:])
     with pytest.raises(ConfigError, match="not both"):
         deepir.run("nuc", *QUICK, "data.truth=x.npz", frames=burst.frames, truth=burst.truth.scene)
+
+
+def test_a_result_says_what_it_is_in_a_few_lines():
+    maps = {name: np.ones((6, 8)) for name in ("scene", "gain", "offset")}
+    used = np.array([True, False, True])
+    found = Result(
+        **maps,
+        motion=np.tile(np.eye(3), (3, 1, 1)),
+        level=np.zeros(3),
+        bad_pixels=np.eye(6, 8) > 0,
+        frames_used=used,
+        history=[{"loss": 1.0}] * 100,
+        messages=["frame 1 does not register"],
+    )
+    assert repr(found) == (
+        "Result: scene 6 x 8 of 2 frames, gain σ 0, offset σ 0, 6 bad pixels\n- frame 1 does not register"
+    )
+    assert found != Result(**maps, motion=found.motion, level=used, bad_pixels=used, frames_used=used)
 
 
 def test_a_result_is_saved_by_itself(result, tmp_path):
@@ -202,17 +219,9 @@ def test_optuna_finds_a_weight_by_the_held_out_error(monkeypatch):
 
 def test_the_course_of_a_run_is_logged(monkeypatch):
     logs = []
-    monkeypatch.setitem(
-        sys.modules,
-        "wandb",
-        SimpleNamespace(init=lambda project, config: logs.append(Log(config)) or logs[0]),
-    )
+    wandb = SimpleNamespace(init=lambda project, config: logs.append(Log(config)) or logs[0])
+    monkeypatch.setitem(sys.modules, "wandb", wandb)
     burst = simulate(settings=Settings(shape=(32, 40), n_frames=3), seed=0)
     exec(shown("wandb"), {"frames": burst.frames})
     assert len(logs[0].logged) > 10
     assert logs[0].summary["noise"] > 0
-
-
-def test_scalars_of_numpy_are_numbers_in_a_configuration():
-    config = load("nuc", [], {"noise": {"read": np.float64(0.5)}, "seed": np.int64(3)})
-    assert (config.noise.read, config.seed) == (0.5, 3)

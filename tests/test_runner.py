@@ -9,7 +9,7 @@ import torch
 
 import deepir
 from deepir.burst import load as load_burst
-from deepir.config import Data, load
+from deepir.config import Data
 from deepir.errors import ConfigError, DataError
 from deepir.simulate import Settings, simulate
 
@@ -21,19 +21,39 @@ def frames(burst):
     return burst.frames
 
 
-def test_a_run_in_memory_writes_nothing(frames, tmp_path, monkeypatch):
+@pytest.fixture(scope="module")
+def seen():
+    """The progress that a callback of `result` saw."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(frames, seen):
+    """A run in memory."""
+    return deepir.run("nuc", frames=frames, callbacks=[seen.append], **QUICK)
+
+
+def test_a_run_in_memory_writes_nothing_and_restores_the_number_of_threads(frames, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    before = torch.get_num_threads()
     result = deepir.run("nuc", frames=frames, prior="tv", **QUICK)
     assert result.scene.shape == (40, 48)
     assert list(tmp_path.iterdir()) == []
+    assert torch.get_num_threads() == before
+
+
+def test_callbacks_see_every_iteration(result, seen):
+    assert seen
+    assert all(each.iteration <= 3 for each in seen)
+    assert seen[-1].done <= 1
 
 
 @pytest.mark.parametrize(("value", "why"), [(7, "7 everywhere (a shutter, or lost)"), (np.nan, "100% NaN or infinite")])
-def test_a_frame_that_shows_nothing_is_left_out_and_reported(frames, value, why):
+def test_a_frame_that_shows_nothing_is_left_out_and_reported(frames, result, value, why):
     damaged = np.insert(frames.astype(np.float32), 1, value, axis=0)
-    result = deepir.run("nuc", frames=damaged, **QUICK)
-    assert result.messages[0] == f"frame 1 is left out: it is {why}. Frames are counted without it"
-    assert np.array_equal(result.scene, deepir.run("nuc", frames=frames, **QUICK).scene)  # repeatable, too
+    found = deepir.run("nuc", frames=damaged, **QUICK)
+    assert found.messages[0] == f"frame 1 is left out: it is {why}. Frames are counted without it"
+    assert np.array_equal(found.scene, result.scene)  # repeatable, too
 
 
 def test_that_results_are_relative_to_another_frame_is_reported(frames):
@@ -65,20 +85,6 @@ def test_a_lost_frame_is_refused_where_frames_follow_each_other_in_time(frames):
         deepir.run("deblur_lag", frames=damaged, **QUICK)
 
 
-def test_the_callers_number_of_threads_is_restored(frames):
-    before = torch.get_num_threads()
-    deepir.run("nuc", frames=frames, **QUICK)
-    assert torch.get_num_threads() == before
-
-
-def test_callbacks_see_every_iteration(frames):
-    seen = []
-    deepir.run("nuc", frames=frames, callbacks=[seen.append], **QUICK)
-    assert seen
-    assert all(each.iteration <= 3 for each in seen)
-    assert seen[-1].done <= 1
-
-
 def test_overrides_and_options_go_together(frames):
     result = deepir.run("nuc", "solver.max_iterations=1", frames=frames, method="average", **QUICK)
     assert result.metrics["method"] == "average"
@@ -86,12 +92,13 @@ def test_overrides_and_options_go_together(frames):
 
 
 def test_a_folder_is_written_when_it_is_named(frames, tmp_path):
-    result = deepir.run("nuc", frames=frames, output={"dir": tmp_path / "mine"}, **QUICK)
+    given = {"frames": frames, "method": "average", "output": {"dir": tmp_path / "mine"}}
+    result = deepir.run("nuc", **given)
     assert np.array_equal(np.load(tmp_path / "mine/result.npz")["scene"], result.scene)
     assert json.loads((tmp_path / "mine/metrics.json").read_text())["stop_reason"]
     with pytest.raises(ConfigError, match="already contains a run"):
-        deepir.run("nuc", frames=frames, output={"dir": tmp_path / "mine"}, **QUICK)
-    deepir.run("nuc", frames=frames, output={"dir": tmp_path / "mine"}, overwrite=True, **QUICK)
+        deepir.run("nuc", **given)
+    deepir.run("nuc", overwrite=True, **given)
 
 
 def test_frames_from_memory_cannot_be_resumed(frames, tmp_path):
@@ -109,7 +116,7 @@ def test_frames_from_memory_cannot_be_resumed(frames, tmp_path):
 @pytest.mark.parametrize("kind", [torch.bfloat16, torch.float64, torch.float32])
 def test_frames_may_be_a_tensor_of_any_kind(frames, kind):
     tensor = torch.from_numpy(frames.astype(np.float32)).to(kind).requires_grad_()
-    assert deepir.run("nuc", frames=tensor, **QUICK).scene.shape == (40, 48)
+    assert deepir.run("nuc", frames=tensor, method="average").scene.shape == (40, 48)
 
 
 @pytest.mark.parametrize(
@@ -152,12 +159,8 @@ def test_a_configuration_that_makes_no_sense_is_an_error(frames, config, setting
         deepir.run(config, *settings, frames=frames, **options, **QUICK)
 
 
-def test_options_may_be_numbers_of_numpy(frames):
-    assert load("nuc", (), {"seed": np.int64(3)}).seed == 3
-
-
 def test_frames_from_memory_are_selected_too(frames):
-    result = deepir.run("nuc", "data.frames=[0, 2]", frames=frames, **QUICK)
+    result = deepir.run("nuc", "data.frames=[0, 2]", frames=frames, method="average")
     assert len(result.frames_used) == 2
     with pytest.raises(DataError, match="does not fit its 3 frames"):
         deepir.run("nuc", "data.frames=7", frames=frames, **QUICK)

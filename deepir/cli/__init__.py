@@ -13,14 +13,10 @@ from typing import Annotated
 import typer
 
 import deepir
-from deepir.cli.commands.analyze import analyze
-from deepir.cli.commands.apply import apply, calibrate
-from deepir.cli.commands.capture import capture, simulate
-from deepir.cli.commands.check import check, list_components
-from deepir.cli.commands.compare import batch, compare
-from deepir.cli.commands.correct import correct
-from deepir.cli.commands.live import live
-from deepir.cli.commands.run import demo, resume, run, train
+from deepir.cli.cameras import capture, live, simulate
+from deepir.cli.checks import analyze, check, list_components
+from deepir.cli.recordings import apply, calibrate, correct
+from deepir.cli.runs import batch, compare, demo, resume, run, train
 from deepir.cli.terminal import Interrupted, echo, notify, printed_warnings, standard_streams
 from deepir.errors import DeepIRError, SolverError
 
@@ -44,22 +40,10 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+#: In the order of `deepir --help`.
 COMMANDS: tuple[Callable[..., int | None], ...] = (
-    correct,
-    live,
-    run,
-    demo,
-    capture,
-    simulate,
-    resume,
-    compare,
-    batch,
-    calibrate,
-    apply,
-    list_components,
-    check,
-    analyze,
-    train,
+    *(correct, live, run, demo, capture, simulate, resume, compare, batch),
+    *(calibrate, apply, list_components, check, analyze, train),
 )
 for each in COMMANDS:
     first_line = (each.__doc__ or "").partition("\n")[0]

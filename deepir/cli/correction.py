@@ -1,18 +1,39 @@
-"""A recording corrected into files."""
+"""Recordings corrected into files: one, or an archive by many processes and machines, whatever interrupts them."""
 
 from __future__ import annotations
 
+import functools
+import itertools
+import json
 import time
+import traceback
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from deepir.cli.arguments import recording_radiometry
-from deepir.cli.terminal import Interrupted, echo, notify
+import deepir
+from deepir.cli.arguments import RECORDING_SETTINGS, held_outputs, recording_config, recording_radiometry
+from deepir.cli.terminal import Interrupted, Interruptible, echo, notify
+from deepir.config import Config
+from deepir.correct_recording import sensor_of_burst
+from deepir.errors import ConfigError, DataError, DeepIRError
+from deepir.io import atomic_file, atomic_files, readers, stream_data
+from deepir.io.frames import digest
+from deepir.io.output.recording import open_writer, output_type, write_frames
+from deepir.io.radiometry import unit_metadata
+from deepir.kernels.memory import peak_memory
 from deepir.messages import labelled
+from deepir.recording.correct import CorrectedRecording, findings_lines
+from deepir.report.panels import write_correction
+from deepir.report.progress import track
+from deepir.report.recording import write_recording_report
 
-if TYPE_CHECKING:
-    from deepir.config import Config
-    from deepir.recording.correct import CorrectedRecording
+LISTS = (".txt", ".lst", ".csv")  # endings of a file that names recordings, one a line
+CORRECTED, REFUSED, FAILED = "corrected", "refused", "failed"
+#: Exit statuses, the gravest last.
+EXIT = {CORRECTED: 0, REFUSED: 2, FAILED: 1}
 
 
 def correct_file(
@@ -32,18 +53,6 @@ def correct_file(
     Returns:
         The corrected recording.
     """
-    import functools
-    from concurrent.futures import ThreadPoolExecutor
-
-    from deepir.correct_recording import sensor_of_burst
-    from deepir.io import atomic_files, stream_data
-    from deepir.io.output.recording import open_writer, output_type, write_frames
-    from deepir.io.radiometry import unit_metadata
-    from deepir.recording.correct import CorrectedRecording, findings_lines
-    from deepir.report.panels import write_correction
-    from deepir.report.progress import track
-    from deepir.report.recording import write_recording_report
-
     data, shown = config.data, config.output
     begun = time.perf_counter()
     read = functools.partial(stream_data, data)
@@ -88,3 +97,142 @@ def _describe(corrected: CorrectedRecording) -> None:
     echo(f"correction: {corrected.estimate.kept}, from {known} of {len(corrected)} frames; {bad} bad pixels")
     for line in labelled(corrected.messages):
         notify(line)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A recording, and the name of its results below the folder of all: its own path below the archive."""
+
+    file: Path
+    name: str
+
+    def outputs(self, folder: Path) -> tuple[Path, Path, Path, Path]:
+        """The corrected recording, its maps, its picture and its report."""
+        ends = ("_corrected.tif", "_maps.npz", ".png", ".html")
+        corrected, maps, picture, page = (folder / f"{self.name}{end}" for end in ends)
+        return corrected, maps, picture, page
+
+    def record(self, folder: Path) -> Path:
+        """The file that says how it went: one line of JSON."""
+        return folder / f"{self.name}.json"
+
+
+def correct_all(
+    source: str, settings: Sequence[str], folder: Path, shard: str, *, rounded: bool, overwrite: bool
+) -> int:
+    """Correct the recordings of one shard that are not corrected yet; a JSON line each.
+
+    Args:
+        source: A folder of recordings, or a file that lists them.
+        settings: `KEY=VALUE` of how they are read and displayed.
+        folder: For the results, and a record of each.
+        shard: `i/n`: every n-th recording, from the i-th on.
+        rounded: Whether values are rounded to the recordings' types.
+        overwrite: Whether what is done is done again.
+
+    Returns:
+        The exit status: 0, 1 if a recording failed, else 2 if one was refused.
+
+    Raises:
+        DataError: There are no recordings.
+        ConfigError: A setting or the shard is wrong.
+    """
+    recording_config(source, settings, RECORDING_SETTINGS)  # what is wrong for one is wrong for all
+    first, _, count = shard.partition("/")
+    if not (first.isdecimal() and count.isdecimal() and 1 <= int(first) <= int(count)):
+        raise ConfigError(f"--shard {shard}: give I/N, the I-th of N parts, such as 1/4")
+    found = recordings_of(source, any_file=any(each.startswith("data.raw") for each in settings))
+    tasks = found[int(first) - 1 :: int(count)]
+    done, states = 0, [CORRECTED]
+    made_by = {"version": deepir.__version__, "settings": sorted(settings), "rounded": rounded}
+    with Interruptible():
+        for task in tasks:
+            this = made_by | {"sha256": _digest(task.file)}
+            if not overwrite and _is_done(task, folder, this):
+                done += 1
+                continue
+            record = _corrected(task, folder, settings, this, rounded=rounded)
+            echo(json.dumps(record))
+            states.append(record["status"])
+    notify(f"{len(tasks)} recording(s), {done} of them done already; results: {folder}")
+    return EXIT[max(states, key=list(EXIT).index)]
+
+
+def recordings_of(source: str, *, any_file: bool = False) -> list[Task]:
+    """The recordings that a folder holds, at any depth, or that a file lists, in the order of their names.
+
+    Args:
+        source: The folder or the list.
+        any_file: Whether files of any ending are taken, as those without a header are.
+
+    Raises:
+        DataError: There is none, or a listed one is given twice.
+    """
+    path = Path(source)
+    if path.is_dir():
+        inside = sorted(each for each in path.rglob("*") if each.is_file() and not each.name.startswith("."))
+        wanted = [each for each in inside if any_file or each.suffix.lower() in readers.suffixes()]
+        tasks = [Task(each, str(each.relative_to(path))) for each in wanted]
+    elif path.is_file() and path.suffix.lower() in LISTS:
+        lines = [line.strip() for line in path.read_text(encoding="utf-8").splitlines()]
+        files = [path.parent / line for line in lines if line and not line.startswith("#")]
+        tasks = [Task(each, str(each.relative_to(each.anchor or "."))) for each in sorted(files)]
+    else:
+        raise DataError(f"{source}: give a folder of recordings, or a file ({', '.join(LISTS)}) with one a line")
+    if not tasks:
+        raise DataError(f"{source}: no recordings in it")
+    if twice := next((a.name for a, b in itertools.pairwise(tasks) if a.name == b.name), None):
+        raise DataError(f"{source}: {twice} is listed twice")
+    return tasks
+
+
+def _corrected(
+    task: Task, folder: Path, settings: Sequence[str], made_by: dict[str, Any], *, rounded: bool
+) -> dict[str, Any]:
+    """Correct a recording and write its record; the record."""
+    begun, outputs = time.perf_counter(), task.outputs(folder)
+    outputs[0].parent.mkdir(parents=True, exist_ok=True)
+    found: dict[str, Any] = {"file": str(task.file), "status": CORRECTED}
+    try:
+        config = recording_config(str(task.file), settings, RECORDING_SETTINGS)
+        with held_outputs(*outputs, overwrite=True, source=task.file):
+            found |= made_by
+            corrected = correct_file(config, *outputs, rounded=rounded, quiet=True)
+        estimate = corrected.estimate
+        found |= {
+            "frames": len(corrected),
+            "correction": str(estimate.kept),
+            "bad_pixels": int(estimate.bad_pixels.sum()),
+            "messages": list(map(str, corrected.messages)),
+        }
+    except DeepIRError as error:
+        found |= {"status": REFUSED, "messages": [str(error)]}
+    except Exception as error:  # the others go on; nobody may sit beside the archive
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(last.filename).name}:{last.lineno}"
+        found |= {"status": FAILED, "messages": [f"{type(error).__name__}: {error} ({where})"]}
+    found |= {"seconds": round(time.perf_counter() - begun, 2), "peak_memory_mb": peak_memory()}
+    with atomic_file(task.record(folder)) as part:
+        part.write_text(json.dumps(found) + "\n", encoding="utf-8")
+    return found
+
+
+def _is_done(task: Task, folder: Path, made_by: dict[str, Any]) -> bool:
+    """Whether a recording was corrected with the same file, settings and version, and its results are there."""
+    try:
+        found = json.loads(task.record(folder).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return (
+        isinstance(found, dict)
+        and (made_by | {"status": CORRECTED}).items() <= found.items()
+        and all(map(Path.exists, task.outputs(folder)))
+    )
+
+
+def _digest(file: Path) -> str:
+    """Digest of a file; empty if it cannot be read."""
+    try:
+        return digest(file)
+    except (OSError, DeepIRError):
+        return ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -144,24 +145,17 @@ def writer(output: str, display: Output, stack: ExitStack) -> Sink:
         if write is None:
             dtype = output_type(frame.raw.dtype, rounded=True)
             if output == STANDARD:
-                stream = standard_output()
-                write = lambda corrected: _send(stream, cast(corrected, dtype))  # noqa: E731
+                write = functools.partial(_send, sys.stdout.buffer, dtype)
             else:
-                file = open_writer(Path(output), dtype, {}, display.palette, display.tones)
-                write = stack.enter_context(file)
+                write = stack.enter_context(open_writer(Path(output), dtype, {}, display.palette, display.tones))
         write(frame.corrected)
 
     return take
 
 
-def standard_output() -> IO[bytes]:
-    """Standard output, for bytes."""
-    return sys.stdout.buffer
-
-
-def _send(stream: IO[bytes], frame: Array) -> None:
+def _send(stream: IO[bytes], dtype: np.dtype[Any], corrected: Array) -> None:
     try:
-        stream.write(frame.tobytes())
+        stream.write(cast(corrected, dtype).tobytes())
         stream.flush()
     except OSError as error:
         raise DataError(f"standard output cannot be written: {error.strerror or error}") from None
@@ -205,7 +199,7 @@ def open_page(
         finally:
             recorder.close()
             if recorder.message:
-                notify(f"{recorder.message}")
+                notify(recorder.message)
 
 
 def keep_page(session: Session, ended: str) -> None:

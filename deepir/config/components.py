@@ -118,7 +118,8 @@ def explain(error: ValidationError, schema: type[BaseModel], whole: Any = None) 
     steps = list(_steps(schema, worst["loc"]))
     path = ".".join(name for name, _ in steps)
     if worst["type"] == "extra_forbidden":
-        if inside := [key for key in (*_inner_keys(schema), *_paths(whole)) if key.endswith(f".{path}")]:
+        inner = [f"{name}.{key}" for name, each in schema.model_fields.items() for key in _keys(each.annotation)]
+        if inside := [key for key in (*inner, *dict(nested(whole))) if key.endswith(f".{path}")]:
             return path, f"no option '{path}'; did you mean '{inside[0]}'?"
         allowed = _keys(steps[-2][1] if steps[1:] else schema)
         hint = nearest(steps[-1][0], allowed)
@@ -189,15 +190,11 @@ def _alternatives(annotation: Any) -> tuple[Any, ...]:
     return tuple(each for each in typing.get_args(annotation) if each is not type(None))
 
 
-def _inner_keys(schema: type[BaseModel]) -> list[str]:
-    return [f"{name}.{key}" for name, each in schema.model_fields.items() for key in _keys(each.annotation)]
-
-
-def _paths(node: Any, above: str = "") -> Iterator[str]:
-    """All keys of nested mappings, with those above them."""
+def nested(node: Any, above: str = "") -> Iterator[tuple[str, Any]]:
+    """All values of nested mappings, by their keys and those above, such as `data.path`."""
     for key, value in node.items() if isinstance(node, Mapping) else ():
-        yield f"{above}{key}"
-        yield from _paths(value, f"{above}{key}.")
+        yield f"{above}{key}", value
+        yield from nested(value, f"{above}{key}.")
 
 
 def _keys(annotation: Any) -> list[str]:

@@ -46,7 +46,7 @@ def load(
     if not isinstance(config, str | os.PathLike | Mapping):
         raise ConfigError(f"configuration: {config!r}: a shipped name, a path or a mapping is needed")
     label = "configuration" if isinstance(config, Mapping) else str(config)
-    base = _merge(label, config if isinstance(config, Mapping) else _read(find(config)), _plain(options or {}))
+    base = _merge(label, config if isinstance(config, Mapping) else _read(find(config)), options or {})
     pairs = overrides.parse_settings(changes, Config)
     prior = (base | dict(pairs)).get("prior") or Config.model_fields["prior"].default
     whole = _merge(label, _preset(str(prior)), base)
@@ -148,11 +148,21 @@ def _check_texts(value: Any, where: str) -> None:
 def _overlay(under: Any, over: Any, where: str = "") -> Any:
     """The value `over`, merged over `under` where both are mappings.
 
-    `OmegaConf.merge` raises a bare TypeError for some combinations; this names the key.
+    For a caller in Python, paths become text, and scalars of NumPy or of torch numbers. `OmegaConf.merge` raises a bare
+    TypeError for some combinations; this names the key.
+
+    Raises:
+        ConfigError: A key is no text, or a value is an array.
     """
     if isinstance(over, list | tuple):
         return [_overlay(None, each, f"{where}{i}.") for i, each in enumerate(over)]
-    if getattr(over, "ndim", None) == 0:  # a scalar of NumPy or of torch
+    if isinstance(over, os.PathLike):
+        return os.fspath(over)
+    if getattr(over, "ndim", 0) > 0:
+        raise ConfigError(
+            f"an array of shape {tuple(over.shape)} in the options: save it, and give the name of its file"
+        )
+    if hasattr(over, "ndim"):
         return over.item()
     if not isinstance(over, Mapping):
         return over
@@ -218,14 +228,3 @@ def _order_stages(config: Config, in_file: list[str], label: str) -> None:
         index = [key for key, _ in rest].index(target)
         stages.clear()
         stages.update([*rest[:index], (name, own), *rest[index:]])
-
-
-def _plain(value: Any) -> Any:
-    """Paths as text and NumPy's numbers as Python's, for a caller in Python; `ConfigError` for an array."""
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if getattr(value, "ndim", 0) > 0:
-        raise ConfigError(
-            f"an array of shape {tuple(value.shape)} in the options: save it, and give the name of its file"
-        )
-    return os.fspath(value) if isinstance(value, os.PathLike) else getattr(value, "tolist", lambda: value)()

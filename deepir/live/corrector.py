@@ -10,7 +10,7 @@ import numpy as np
 
 from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
-from deepir.live.estimation import ENDED, Estimator, ProcessEstimator
+from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.recorder import LiveKeyframes
 from deepir.recording.pattern_gradients import contains_pattern, removes_more
 from deepir.recording.segments import Segment
@@ -83,7 +83,9 @@ class Corrector:
         hold: True: nothing further is learned; no keyframes are chosen and no estimates are taken.
     """
 
-    def __init__(self, maps: CorrectionMaps | None = None, *, estimator: Estimator | None = None) -> None:
+    def __init__(
+        self, maps: CorrectionMaps | None = None, *, estimator: SynchronousEstimator | ProcessEstimator | None = None
+    ) -> None:
         self._estimator = estimator or ProcessEstimator()
         self.begin(maps)
 

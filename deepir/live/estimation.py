@@ -13,7 +13,7 @@ import subprocess
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from typing import IO, Any, Protocol
+from typing import IO, Any
 
 import numpy as np
 
@@ -29,25 +29,6 @@ NICENESS = 10  # of the process, where systems have it: frames come first
 QUICK_KEYFRAMES = 24  # that a quick estimate uses at most: with more the fine offset has the same errors
 READY = b"r"  # what the process writes first
 ENDED = "the estimating process ended by itself; it is started again"
-
-
-class Estimator(Protocol):
-    """What estimates the sensor for a `Corrector`."""
-
-    def busy(self) -> bool:
-        """Whether an estimate is under way."""
-
-    def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
-        """Begin an estimate, only when not busy; arguments as in `newest_segment`."""
-
-    def poll(self) -> Segment | None:
-        """The newest estimate, once; None if there is none."""
-
-    def cancel(self) -> None:
-        """Give up the estimate that is under way, or done and not polled."""
-
-    def close(self) -> None:
-        """End it, an estimate under way too."""
 
 
 def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps | None = None) -> Segment:
@@ -70,26 +51,26 @@ def newest_segment(keyframes: Keyframes, *, quick: bool, former: CorrectionMaps 
 
 
 class SynchronousEstimator:
-    """Estimates in the calling process; frames wait."""
+    """What estimates the sensor for a `Corrector`, in the calling process; frames wait."""
 
     def __init__(self) -> None:
         self._found: Segment | None = None
 
     def busy(self) -> bool:
-        """Never."""
+        """Whether an estimate is under way: never."""
         return False
 
     def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
-        """Estimate."""
+        """Estimate, only when not busy; arguments as in `newest_segment`."""
         self._found = newest_segment(chosen.copied(), quick=quick, former=former)
 
     def poll(self) -> Segment | None:
-        """The estimate, once."""
+        """The newest estimate, once; None if there is none."""
         found, self._found = self._found, None
         return found
 
     def cancel(self) -> None:
-        """Forget what was not polled."""
+        """Give up the estimate that was not polled."""
         self._found = None
 
     def close(self) -> None:
@@ -97,7 +78,7 @@ class SynchronousEstimator:
 
 
 class ProcessEstimator:
-    """Estimates in a separate process."""
+    """What estimates the sensor for a `Corrector`, in a process of its own."""
 
     def __init__(self) -> None:
         self._process = self._start()
@@ -114,11 +95,11 @@ class ProcessEstimator:
         return not self._ready.done() or (self._pending is not None and not self._pending.done())
 
     def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
-        """Begin an estimate."""
+        """Begin an estimate, only when not busy; arguments as in `newest_segment`."""
         self._pending = self._sender.submit(self._estimate, chosen, quick, former)
 
     def poll(self) -> Segment | None:
-        """The estimate, once it is there."""
+        """The newest estimate, once it is there; None if there is none."""
         if self._pending is None or self.busy():
             return None
         found, self._pending = self._pending.result(), None

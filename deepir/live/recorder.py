@@ -20,12 +20,7 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps, read_maps
 from deepir.errors import DataError
 from deepir.io.output.recording import Write, output_type, tiff
-from deepir.recording.keyframes import (
-    WINDOW,
-    ChosenFrames,
-    KeyframeCollector,
-    motion_spacing,
-)
+from deepir.recording.keyframes import WINDOW, ChosenFrames, KeyframeCollector, motion_spacing
 
 Array = np.ndarray[Any, Any]
 
@@ -102,14 +97,13 @@ class Recorder:
             ended = f"the disk is full, less than {RESERVE / 1e6:.0f} MB are free: " if full else ""
             kept = f"{self.frames} frame(s) are in {stem}-raw.tif and -corrected.tif"
             lost = f"; the disk was too slow for {self.left_out} more" if self.left_out else ""
-            self.recording = False
-            self.message = f"{ended}{kept if self.frames else 'nothing was recorded'}{lost}"
+            message = f"{ended}{kept if self.frames else 'nothing was recorded'}{lost}"
         except (DataError, OSError) as error:
-            self.recording = False
-            self.message = f"the recording has failed, and is not kept: {error}"
+            message = f"the recording has failed, and is not kept: {error}"
         finally:
             self.recording = False
             self._pending = queue.SimpleQueue()
+        self.message = message
 
     def _write(self, stem: Path, stack: ExitStack) -> bool:
         """Write all frames; whether the disk was full before the end."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -43,11 +43,6 @@ def write_text(draw: ImageDraw.ImageDraw, at: Point, text: str, anchor: str, siz
     draw.text(at, text, fill=INK, font=_font(size), anchor=anchor)
 
 
-def text_width(text: str, size: int = LABEL_SIZE) -> float:
-    """Width of a text, px."""
-    return float(_font(size).getlength(text))
-
-
 def linear_ticks(low: float, high: float, most: int = 7) -> list[float]:
     """At most `most` round numbers at equal steps in [low, high]."""
     if not 0 < (span := high - low) < math.inf:
@@ -81,6 +76,26 @@ def labels(ticks: list[float]) -> list[str]:
     return [f"{each:.{decimals}f}" for each in ticks]
 
 
+class Scale(NamedTuple):
+    """Values from `low` to `high`, along an axis or a colour bar."""
+
+    low: float
+    high: float
+    log: bool = False
+
+    def share(self, values: Sequence[float] | Array) -> Array:
+        """Places of values: 0 at `low`, 1 at `high`."""
+        low, high, at = self.low, self.high, np.asarray(values, float)
+        if self.log:
+            low, high, at = math.log(low), math.log(high), np.log(at)
+        return np.asarray((at - low) / (high - low))
+
+    def ticks(self) -> Iterator[tuple[float, str]]:
+        """The places of round numbers, and the numbers."""
+        found = (log_ticks if self.log else linear_ticks)(min(self[:2]), max(self[:2]))
+        return zip(self.share(found).tolist(), labels(found), strict=True)
+
+
 def write_figure(path: Path, rows: Sequence[Sequence[Image.Image]]) -> None:
     """Write rows of pictures as PNG."""
     with atomic_file(path) as part:
@@ -106,28 +121,16 @@ class Axes:
     Args:
         size: Width and height of the picture.
         title: Above it.
-        x: Limits, left and right.
-        y: Limits, bottom and top.
+        x: From left to right.
+        y: From bottom to top.
         name: Below x.
-        log: The scale of y is logarithmic.
-        log_x: That of x is.
         square: A pixel of x is as long as one of y.
     """
 
     def __init__(
-        self,
-        size: tuple[int, int],
-        title: str,
-        x: tuple[float, float],
-        y: tuple[float, float],
-        name: str = "",
-        *,
-        log: bool = False,
-        log_x: bool = False,
-        square: bool = False,
+        self, size: tuple[int, int], title: str, x: Scale, y: Scale, name: str = "", *, square: bool = False
     ) -> None:
         self.size, self.title, self.x, self.y, self.name = size, title, x, y, name
-        self.log, self.log_x = log, log_x
         width, height = size[0] - LEFT - 2 * MARGIN, size[1] - TITLE_HEIGHT - BOTTOM
         if square:
             width = height = min(width, height)
@@ -173,14 +176,14 @@ class Axes:
         draw.rectangle((self.left, TITLE_HEIGHT, right, bottom), outline=INK)
         write_text(draw, (middle, TITLE_HEIGHT - 8), self.title, "mb", TITLE_SIZE)
         write_text(draw, (middle, bottom + 28), self.name, "mt")
-        ticks = (log_ticks if self.log_x else linear_ticks)(min(self.x), max(self.x))
-        for place, label in zip(self._across(ticks) / SMOOTHING, labels(ticks), strict=True):
-            draw.line((self.left + place, bottom, self.left + place, bottom + 4), INK)
-            write_text(draw, (self.left + place, bottom + 8), label, "mt")
-        ticks = (log_ticks if self.log else linear_ticks)(min(self.y), max(self.y))
-        for place, label in zip(self._up(ticks) / SMOOTHING, labels(ticks), strict=True):
-            draw.line((self.left - 4, TITLE_HEIGHT + place, self.left, TITLE_HEIGHT + place), INK)
-            write_text(draw, (self.left - 8, TITLE_HEIGHT + place), label, "rm")
+        for share, label in self.x.ticks():
+            at = self.left + share * self.width
+            draw.line((at, bottom, at, bottom + 4), INK)
+            write_text(draw, (at, bottom + 8), label, "mt")
+        for share, label in self.y.ticks():
+            at = TITLE_HEIGHT + (1 - share) * self.height
+            draw.line((self.left - 4, at, self.left, at), INK)
+            write_text(draw, (self.left - 8, at), label, "rm")
         self._write_legend(draw, right - 10)
         return picture
 
@@ -188,7 +191,7 @@ class Axes:
         if not self.legend:
             return
         row = LABEL_SIZE + 6
-        left = right - max(text_width(name) for name, _ in self.legend) - 40
+        left = right - max(_font(LABEL_SIZE).getlength(name) for name, _ in self.legend) - 40
         top = TITLE_HEIGHT + 10
         draw.rectangle((left, top, right, top + row * len(self.legend) + 6), "white", "lightgrey")
         for k, (name, colour) in enumerate(self.legend):
@@ -197,18 +200,10 @@ class Axes:
             write_text(draw, (left + 33, y), name, "lm")
 
     def _across(self, x: Sequence[float] | Array) -> Array:
-        return _share(np.asarray(x, float), self.x, log=self.log_x) * self.inside.width
+        return self.x.share(x) * self.inside.width
 
     def _up(self, y: Sequence[float] | Array) -> Array:
-        return (1 - _share(np.asarray(y, float), self.y, log=self.log)) * self.inside.height
-
-
-def _share(values: Array, limits: tuple[float, float], *, log: bool) -> Array:
-    """Places of values between two limits, which are at 0 and 1."""
-    low, high = limits
-    if log:
-        low, high, values = math.log(low), math.log(high), np.log(values)
-    return np.asarray((values - low) / (high - low))
+        return (1 - self.y.share(y)) * self.inside.height
 
 
 def map_height(shape: tuple[int, ...], width: int, beside: int = SCALE) -> int:
@@ -223,9 +218,8 @@ def draw_map(image: Array, title: str, palette: str, size: tuple[int, int], cent
     """
     image = image.astype(float)
     low, high = _limits(image, centre)
-    log = palette == DEVIATIONS and high > LOG_SCALE_RATIO * low > 0
-    ticks = log_ticks(low, high) if log else linear_ticks(low, high)
-    if log:
+    scale = Scale(low, high, log=palette == DEVIATIONS and high > LOG_SCALE_RATIO * low > 0)
+    if scale.log:
         image, low, high = np.log(np.fmax(image, low)), np.log(low), np.log(high)
     table = colour_table(palette)
     colours = table[np.round(255 * stretch(image, low, high)).astype(np.uint8)]
@@ -234,9 +228,8 @@ def draw_map(image: Array, title: str, palette: str, size: tuple[int, int], cent
     top, draw = TITLE_HEIGHT, ImageDraw.Draw(picture)
     picture.paste(Image.fromarray(table[::-1, None]).resize((BAR, height)), (bar, top))
     draw.rectangle((bar, top, bar + BAR, top + height), outline=INK)
-    places = (np.log(ticks) if log else np.asarray(ticks)) - low
-    for place, label in zip(places / (high - low), labels(ticks), strict=True):
-        y = round(top + height * (1 - place))
+    for share, label in scale.ticks():
+        y = round(top + height * (1 - share))
         draw.line((bar + BAR, y, bar + BAR + 4, y), fill=INK)
         write_text(draw, (bar + BAR + 7, y), label, "lm")
     return picture

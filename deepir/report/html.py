@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepir.io.output.tone_mapping import (
-    DEVIATIONS,
-    PALETTES,
-    SIGNED,
-    WHITE_HOT,
-    colour_table,
-    display_limits,
-)
+from deepir.io.output.tone_mapping import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table, display_limits
 from deepir.io.output.write import atomic_file, to_json_types
 from deepir.io.radiometry import KELVIN, unit_metadata
 from deepir.messages import DISTRUSTED, NOTES, WARNINGS, by_importance, labelled
@@ -55,13 +48,7 @@ def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str,
     style = _read("page.css")
     script = "".join(map(_read, ("page.js", *scripts)))
     policy = f"default-src 'none'; style-src {_digest(style)}; script-src {_digest(script)}"
-    parts = {
-        "policy": policy,
-        "style": style,
-        "body": _read(body),
-        "script": script,
-        "data": json_for_html(data),
-    }
+    parts = {"policy": policy, "style": style, "body": _read(body), "script": script, "data": json_for_html(data)}
     page = _read("page.html")
     for name, text in parts.items():
         page = page.replace(f"%{name}%", text)
@@ -100,7 +87,9 @@ class Verdict(NamedTuple):
 
 def verdict(result: Result) -> Verdict:
     """The verdict on a result: its most important warning, or what it reached."""
-    return warned(result.messages) or Verdict("good", _reached(result), _frames(result))
+    used, count = int(result.frames_used.sum()), len(result.frames_used)
+    frames = "All frames are used." if used == count else f"{used} of {count} frames are used."
+    return warned(result.messages) or Verdict("good", _reached(result), frames)
 
 
 def warned(messages: Sequence[str]) -> Verdict | None:
@@ -122,17 +111,11 @@ def _reached(result: Result) -> str:
     """What an untroubled result has reached, in a sentence."""
     left: dict[str, Any] = result.metrics.get("fixed_pattern_left") or {}
     if {"raw", "corrected"} <= left.keys():
-        unit = str(unit_metadata(result.radiometry).get("unit", ""))
-        was = f"{left['raw']:.3g} {unit}".strip()
+        was = f"{left['raw']:.3g} {_unit(result)}".strip()
         return f"The pattern was separated from the scene: {was} before, {left['corrected']:.3g} after."
     if np.ptp(result.gain) or np.ptp(result.offset):
         return "The pattern was separated from the scene."
     return "Nothing speaks against this result."
-
-
-def _frames(result: Result) -> str:
-    used, count = int(result.frames_used.sum()), len(result.frames_used)
-    return "All frames are used." if used == count else f"{used} of {count} frames are used."
 
 
 def write_report(path: Path, result: Result, example: Array, config: Config) -> None:
@@ -189,21 +172,10 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
             low, high = display_limits(image.astype(float))
             yield packed(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
-    yield packed("bad_pixels", f"Bad pixels, {bad.sum()}", _first(bad), "") | {
-        "low": 0,
-        "high": 1,
-        "colours": "mask",
-    }
+    yield packed("bad_pixels", f"Bad pixels, {bad.sum()}", _first(bad), "", "mask")
     for name, image in result.uncertainty.items():
         own = "" if name == "gain" else here
-        yield packed(
-            f"{name}_sd",
-            f"Uncertainty of the {name}",
-            _first(image),
-            own,
-            palette="spread",
-            fine=COARSE_LEVELS,
-        )
+        yield packed(f"{name}_sd", f"Uncertainty of the {name}", _first(image), own, "spread")
 
 
 def _scenes(
@@ -221,14 +193,7 @@ def _first(scenes: Array) -> Array:
 
 
 def packed(
-    name: str,
-    title: str,
-    image: Array,
-    here: str,
-    palette: str = "",
-    *,
-    centre: float | None = None,
-    fine: int = FINE_LEVELS,
+    name: str, title: str, image: Array, here: str, palette: str = "", *, centre: float | None = None
 ) -> dict[str, Any]:
     """One map; with a `centre` its palette is signed, and symmetric about it.
 
@@ -239,9 +204,11 @@ def packed(
         here: Its unit.
         palette: One of `MAP_PALETTES`; "": that of the page.
         centre: Of the scale.
-        fine: Levels between the display limits.
     """
+    fine = COARSE_LEVELS if palette == "spread" else FINE_LEVELS
     found = {"name": name, "title": title, "unit": here, "colours": palette} | pack_map(image, fine)
+    if palette == "mask":
+        return found | {"low": 0, "high": 1}
     if centre is None:
         return found
     reach = max(found["high"] - centre, centre - found["low"], 1e-6)

@@ -12,7 +12,7 @@ from PIL import Image
 from deepir.analysis.burst_assessment import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL
 from deepir.io import atomic_file
 from deepir.io.output.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, stretch
-from deepir.report.drawing import COLOURS, Axes, composed, draw_colours, draw_map, map_height, write_figure
+from deepir.report.drawing import COLOURS, Axes, Scale, composed, draw_colours, draw_map, map_height, write_figure
 
 if TYPE_CHECKING:
     from deepir.analysis import BurstAssessment, PatternStatistics
@@ -54,14 +54,8 @@ def write_panels(path: Path, panels: Sequence[Panel], rows: int = 1) -> None:
     columns = -(-len(panels) // rows)
     width = TOTAL_WIDTH // columns
     size = width, map_height(panels[0][1].shape, width, 0)
-    drawn = [
-        draw_colours(
-            colour_table(WHITE_HOT)[np.round(255 * stretch(image, black, white)).astype(np.uint8)],
-            title,
-            size,
-        )
-        for title, image, black, white in panels
-    ]
+    grey = [colour_table(WHITE_HOT)[np.round(255 * stretch(each, *ends)).astype(np.uint8)] for _, each, *ends in panels]
+    drawn = [draw_colours(colours, panel[0], size) for colours, panel in zip(grey, panels, strict=True)]
     whole = composed([drawn[k : k + columns] for k in range(0, len(drawn), columns)]).convert("L")
     whole.quantize(64, dither=Image.Dither.NONE).save(path, format="PNG", optimize=True)
 
@@ -128,8 +122,8 @@ def _loss(history: list[dict[str, Any]], size: tuple[int, int]) -> Image.Image:
     fallen = {stage: loss - loss.min() + 1 for stage, loss in stages.items()}
     highest = max(float(np.nanmax(each)) for each in fallen.values())
     title = "loss in each stage, less its least (nats)"
-    limits = 0.8, 1.4 * highest * highest**LEGEND_SHARE
-    axes = Axes(size, title, (0, len(history)), limits, "iteration", log=True)
+    losses = Scale(0.8, 1.4 * highest * highest**LEGEND_SHARE, log=True)
+    axes = Axes(size, title, Scale(0, len(history)), losses, "iteration")
     start, colours = 0, dict[str, str]()
     for stage, loss in fallen.items():
         kind = stage.rstrip(" 0123456789")  # the rounds of a stage share a colour and a name
@@ -169,12 +163,12 @@ def write_flow(path: Path, flow: Array, motion: Array) -> None:
 
 def _legend(reach: float, height: int) -> Image.Image:
     """Colours of the vectors up to `reach`, px."""
-    x = np.linspace(-1, 1, 201)
-    wheel = np.stack(np.broadcast_arrays(x, x[:, None]))
+    along = np.linspace(-1, 1, 201)
+    wheel = np.stack(np.broadcast_arrays(along, along[:, None]))
     colours = np.where(np.hypot(*wheel)[..., None] <= 1, flow_colours(wheel), 255).astype(np.uint8)
-    limits = (-reach, reach), (reach, -reach)
-    axes = Axes((LEGEND_WIDTH, height), "px, x right, y down", *limits, square=True)
-    axes.image(colours, (*limits[0], *limits[1]))
+    x, y = Scale(-reach, reach), Scale(reach, -reach)
+    axes = Axes((LEGEND_WIDTH, height), "px, x right, y down", x, y, square=True)
+    axes.image(colours, (-reach, reach, reach, -reach))
     return axes.picture()
 
 
@@ -223,7 +217,7 @@ def _around(statistics: PatternStatistics, assessment: BurstAssessment | None) -
     if assessment is not None:
         view = min(edge, max(view, float(np.abs(assessment.displacements).max()) + 2))
         title += ", and where the frames look"
-    axes = Axes(ANALYSIS_SIZE, title, (-view, view), (view, -view), "lag in x and y (px)", square=True)
+    axes = Axes(ANALYSIS_SIZE, title, Scale(-view, view), Scale(view, -view), "lag in x and y (px)", square=True)
     near = min(middle, int(view) + 1)
     shown = np.s_[middle - near : middle + near + 1]
     levels = np.round(255 * statistics.correlation[shown, shown].clip(0, 1)).astype(np.uint8)
@@ -241,23 +235,17 @@ def _along(statistics: PatternStatistics) -> Image.Image:
     farthest = len(statistics.correlation) // 2
     lags, middle = np.arange(farthest + 1), statistics.correlation
     title = "autocorrelation along an axis; what stays are lines"
-    axes = Axes(ANALYSIS_SIZE, title, (0, min(farthest, FARTHEST_LAG)), (-0.2, 1.02), "lag (px)")
+    axes = Axes(ANALYSIS_SIZE, title, Scale(0, min(farthest, FARTHEST_LAG)), Scale(-0.2, 1.02), "lag (px)")
     axes.level(CORRELATION_LENGTH_LEVEL)
-    for name, along, far, colour in zip(
-        "xy",
-        (middle[farthest, farthest:], middle[farthest:, farthest]),
-        statistics.lengths,
-        COLOURS[:2],
-        strict=True,
-    ):
+    curves = {"x": middle[farthest, farthest:], "y": middle[farthest:, farthest]}
+    for (name, along), far, colour in zip(curves.items(), statistics.lengths, COLOURS[:2], strict=True):
         axes.line(lags, along, colour, f"along {name}: {far:.1f} px", dots=True)
     return axes.picture()
 
 
 def _over_time(in_time: Array) -> Image.Image:
-    limits = min(0.0, float(in_time.min())) - 0.02, 1.05
-    title = "autocorrelation from frame to frame"
-    axes = Axes(ANALYSIS_SIZE, title, (0, max(len(in_time) - 1, 1)), limits, "frames apart")
+    x, y = Scale(0, max(len(in_time) - 1, 1)), Scale(min(0.0, float(in_time.min())) - 0.02, 1.05)
+    axes = Axes(ANALYSIS_SIZE, "autocorrelation from frame to frame", x, y, "frames apart")
     axes.level(STABILITY_LEVEL)
     axes.line(np.arange(len(in_time)), in_time, COLOURS[0], dots=True)
     return axes.picture()

@@ -11,15 +11,7 @@ import numpy as np
 from deepir.io.output.tone_mapping import PALETTES, WHITE_HOT
 from deepir.messages import labelled
 from deepir.paths import printable
-from deepir.report.html import (
-    COARSE_LEVELS,
-    MAP_PALETTES,
-    Verdict,
-    colours,
-    packed,
-    warned,
-    write_page,
-)
+from deepir.report.html import MAP_PALETTES, Verdict, colours, packed, warned, write_page
 
 if TYPE_CHECKING:
     from deepir.recording.correct import CorrectedRecording
@@ -97,21 +89,10 @@ def _maps(corrected: CorrectedRecording, unit: str) -> Iterator[dict[str, Any]]:
     yield packed("difference", f"Taken off frame {number}", raw - after, unit, centre=0.0)
     yield packed("offset", "Offset", estimate.offset, unit, centre=0.0)
     if estimate.offset_deviation is not None:
-        yield packed(
-            "offset_sd",
-            "Uncertainty of the offset",
-            estimate.offset_deviation,
-            unit,
-            "spread",
-            fine=COARSE_LEVELS,
-        )
+        yield packed("offset_sd", "Uncertainty of the offset", estimate.offset_deviation, unit, "spread")
     yield packed("gain", "Gain", estimate.gain, "", centre=1.0)
     title = f"Bad pixels, {int(estimate.bad_pixels.sum())}, drawn larger"
-    yield packed("bad_pixels", title, _wider(estimate.bad_pixels), "") | {
-        "low": 0,
-        "high": 1,
-        "colours": "mask",
-    }
+    yield packed("bad_pixels", title, _wider(estimate.bad_pixels), "", "mask")
 
 
 def _wider(bad: Array) -> Array:

@@ -51,12 +51,12 @@ class Lock:
     """A lock file that this process holds."""
 
     path: Path
-    identity: tuple[int, int]  # device and number of the file
+    status: os.stat_result
 
     def is_in_place(self) -> bool:
         """False once the file, or a folder above it, was moved or deleted."""
         try:
-            return _identity(self.path) == self.identity
+            return os.path.samestat(self.path.stat(), self.status)
         except OSError:
             return False
 
@@ -129,7 +129,7 @@ def _locked(path: Path, output: Path) -> Iterator[Lock]:
         ) from None
     except OSError as error:
         raise ConfigError(f"{output}: cannot be written: {error.strerror or error}") from None
-    held = Lock(path, _identity(path))
+    held = Lock(path, path.stat())
     try:
         since = time.strftime("%Y-%m-%d %H:%M:%S")
         with suppress(OSError):  # a full disk: whatever is written next says so
@@ -141,11 +141,6 @@ def _locked(path: Path, output: Path) -> Iterator[Lock]:
                 with suppress(OSError):
                     each.unlink()
         lock.release()
-
-
-def _identity(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_dev, status.st_ino
 
 
 def _read(holder: Path) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
 from typing import Any
 
 from deepir.config import Config, load, read
+from deepir.config.components import nested
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io.frames import digest
 from deepir.paths import expanded
@@ -97,15 +98,9 @@ def burst_axis(patterns: Sequence[str]) -> Axis:
     paths = [path for path in found if path not in truths.values()]
     stems = [Path(path).stem for path in paths]
     names = stems if len(set(stems)) == len(stems) else paths
-    return Axis(
-        BURST_AXIS,
-        {name: _burst(path, truths.get(path, "")) for name, path in zip(names, paths, strict=True)},
-    )
-
-
-def _burst(path: str, truth: str) -> list[str]:
-    known = [f"data.truth={truth}"] if truth and Path(truth).is_file() else []
-    return [f"data.path={path}", *known]
+    known = {path: [f"data.truth={truth}"] for path, truth in truths.items() if Path(truth).is_file()}
+    choices = {name: [f"data.path={path}", *known.get(path, ())] for name, path in zip(names, paths, strict=True)}
+    return Axis(BURST_AXIS, choices)
 
 
 def folder_name(values: Mapping[str, str]) -> str:
@@ -147,7 +142,7 @@ class Cell:
         state = self.folder.state()
         if state == "new":
             return state
-        then, now = (dict(_leaves(each.model_dump())) for each in (read(self.folder.active.config), self.config))
+        then, now = (_leaves(each) for each in (read(self.folder.active.config), self.config))
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
                 raise ConfigError(
@@ -253,10 +248,6 @@ def check_inputs(found: Sequence[Cell]) -> None:
             check_unchanged(cell.folder.record().inputs, now, cell.folder.path)
 
 
-def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The values of nested mappings, by their keys and those above, such as `data.path`."""
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
+def _leaves(config: Config) -> dict[str, Any]:
+    """The settings of a configuration, such as `data.path`."""
+    return {key: value for key, value in nested(config.model_dump()) if not isinstance(value, Mapping)}

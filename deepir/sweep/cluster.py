@@ -22,6 +22,7 @@ from deepir.simulate import Settings, simulate
 from deepir.storage.stored import resume, run_into
 from deepir.sweep.cells import Cell
 
+CORES: int = CPU_COUNT  # that this process may use
 LOOPBACK = "127.0.0.1"  # a scheduler runs whatever it is sent: nobody else may reach it
 SCHEDULER_TIMEOUT = "10s"  # time for a scheduler to answer
 #: Without Dask's MALLOC_TRIM_THRESHOLD_: returning memory after each operation costs most of the time.
@@ -30,11 +31,6 @@ WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_
 PROCESS_LOCK = threading.Lock()
 #: Size of the frames by which a process is warmed up, px.
 WARM_UP_SHAPE = (40, 48)
-
-
-def core_count() -> int:
-    """Number of cores that this process may use."""
-    return int(CPU_COUNT)
 
 
 def run_cells(

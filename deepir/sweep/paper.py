@@ -20,7 +20,7 @@ from deepir.paths import printable
 from deepir.report.drawing import composed, draw_map
 from deepir.runner import prepare
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, Cell
-from deepir.sweep.table import Group, Row, group_rows
+from deepir.sweep.table import Group, Row, group_rows, write_text
 
 Array = np.ndarray[Any, Any]
 
@@ -44,10 +44,8 @@ def write_paper(folder: Path, cells: Sequence[Cell], found: Sequence[Row]) -> No
     finished = [_with_lpips(cell, row) for cell, row in zip(cells, found, strict=True) if row.metrics]
     if not finished:
         return
-    with atomic_file(folder / "paper.tex") as part:
-        part.write_text(latex(finished), encoding="utf-8")
-    with atomic_file(folder / "paper.csv") as part:
-        part.write_text(long_csv(finished), encoding="utf-8")
+    write_text(folder / "paper.tex", latex(finished))
+    write_text(folder / "paper.csv", long_csv(finished))
     pictures = panels([cell for cell, row in zip(cells, found, strict=True) if row.metrics])
     if pictures:
         with atomic_file(folder / "paper.pdf") as part:

@@ -45,8 +45,8 @@ class Sweep:
     def write(self, title: str, *, paper: bool = False) -> list[table.Row]:
         """Write `table.csv`, `table.md`, `quality.png` and `report.html`, and those of a paper; the rows."""
         found = table.make_rows(self.cells, self.errors)
-        table.write_markdown(self.folder / "table.md", found, title)
-        table.write_csv(self.folder / "table.csv", found)
+        table.write_text(self.folder / "table.md", table.markdown(found, title))
+        table.write_text(self.folder / "table.csv", table.csv_table(found))
         table.write_plots(self.folder / "quality.png", found)
         table.write_report(self.folder / "report.html", found, title)
         if paper:
@@ -92,9 +92,9 @@ def prepare(
         raise ConfigError("nothing varies: list values with commas, for example prior=tv,dip seed=0,1,2")
     first = load(name, [*settings, *(each for axis in axes for each in next(iter(axis.choices.values())))])
     base = expanded(first.output.dir or folder).absolute()
-    cores = cluster.core_count()
-    count = workers or min(math.prod(len(axis.choices) for axis in axes), max(1, cores // (first.threads or 1)))
-    found = make_cells(name, settings, axes, base, 1 if remote else max(1, cores // count))
+    at_once = max(1, cluster.CORES // (first.threads or 1))
+    count = workers or min(math.prod(len(axis.choices) for axis in axes), at_once)
+    found = make_cells(name, settings, axes, base, 1 if remote else max(1, cluster.CORES // count))
     with locked_folder(base):
         remove_temporaries(base, SWEEP_FILES)
         table.check_free(base)

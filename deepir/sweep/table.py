@@ -19,7 +19,7 @@ from PIL import Image
 from deepir.errors import ConfigError
 from deepir.io import atomic_file
 from deepir.paths import printable
-from deepir.report.drawing import COLOURS, Axes, write_figure
+from deepir.report.drawing import COLOURS, Axes, Scale, write_figure
 from deepir.report.html import write_page
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, SWEEP_FILES, Cell
 
@@ -54,19 +54,18 @@ def write_plots(path: Path, found: Sequence[Row]) -> None:
     if not against:
         path.unlink(missing_ok=True)
         return
-    lines = curves(finished)
-    write_figure(path, [[_plot(lines, x, metric, legend=x == against[-1]) for x in against]])
+    write_figure(path, [[_plot(finished, x, metric, legend=x == against[-1]) for x in against]])
 
 
-def _plot(lines: Mapping[str, Sequence[Group]], x: str, metric: str, *, legend: bool) -> Image.Image:
-    """A metric against another, a line through the medians of each group, with bars from the least to the greatest."""
-    spreads = {label: np.reshape(_points(groups, x, metric), (-1, 2, 3)) for label, groups in lines.items()}
+def _plot(found: Sequence[Row], x: str, metric: str, *, legend: bool) -> Image.Image:
+    """A metric against another: lines through the medians, with bars from the least to the greatest."""
+    lines = curves(found, x, metric)
+    spreads = {label: np.reshape(points, (-1, 2, 3)) for label, points in lines.items()}
     everything = np.concatenate(list(spreads.values()))
-    across = _limits(everything[:, 0], log=x == "seconds")
-    bottom, top = _limits(everything[:, 1], log=False)
+    up = _scale(everything[:, 1], log=False)
     if few := 1 < len(lines) <= MAX_LEGEND:
-        top += LEGEND_ROW * len(lines) * (top - bottom)
-    axes = Axes(PLOT_SIZE, TABLE_METRICS[metric][0], across, (bottom, top), x, log_x=x == "seconds")
+        up = Scale(up.low, up.high + LEGEND_ROW * len(lines) * (up.high - up.low))
+    axes = Axes(PLOT_SIZE, TABLE_METRICS[metric][0], _scale(everything[:, 0], log=x == "seconds"), up, x)
     for (label, points), colour in zip(spreads.items(), itertools.cycle(COLOURS)):
         middles = points[:, :, 0]
         axes.line(middles[:, 0], middles[:, 1], colour, printable(label) if legend and few else "", dots=True)
@@ -76,19 +75,13 @@ def _plot(lines: Mapping[str, Sequence[Group]], x: str, metric: str, *, legend: 
     return axes.picture()
 
 
-def _points(groups: Sequence[Group], x: str, metric: str) -> list[tuple[Spread, Spread]]:
-    """Of groups that have both metrics, median, least and greatest of each, in the order of the first."""
-    spreads = [(group.median_range(x), group.median_range(metric)) for group in groups]
-    return sorted((across, up) for across, up in spreads if across and up)
-
-
-def _limits(values: Array, *, log: bool) -> tuple[float, float]:
-    """The least and the greatest value, with a margin."""
+def _scale(values: Array, *, log: bool) -> Scale:
+    """From the least to the greatest value, with a margin."""
     low, high = float(values.min()), float(values.max())
     if log:
-        return max(low, 1e-3) / (1 + MARGIN), max(high, 1e-3) * (1 + MARGIN)
+        return Scale(max(low, 1e-3) / (1 + MARGIN), max(high, 1e-3) * (1 + MARGIN), log=True)
     margin = MARGIN * (high - low) or 0.5
-    return low - margin, high + margin
+    return Scale(low - margin, high + margin)
 
 
 def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
@@ -100,13 +93,15 @@ def plottable(found: Sequence[Row]) -> tuple[list[Row], list[str]]:
     return finished, ["frames", "seconds"] if several else ["seconds"]
 
 
-def curves(found: Sequence[Row]) -> dict[str, list[Group]]:
-    """Groups that differ only in the number of frames, by their common values."""
-    lines: dict[str, list[Group]] = {}
+def curves(found: Sequence[Row], x: str, metric: str) -> dict[str, list[tuple[Spread, Spread]]]:
+    """Points of a metric against another, in the order of x; one curve where only the number of frames differs."""
+    lines: dict[str, list[tuple[Spread, Spread]]] = {}
     for group in group_rows(found, AVERAGED_AXES):
         label = ", ".join(value for key, value in group.values.items() if key != FRAMES_AXIS)
-        lines.setdefault(label, []).append(group)
-    return lines
+        points, across, up = lines.setdefault(label, []), group.median_range(x), group.median_range(metric)
+        if across and up:
+            points.append((across, up))
+    return {label: sorted(points) for label, points in lines.items()}
 
 
 def write_report(path: Path, found: Sequence[Row], title: str) -> None:
@@ -126,7 +121,13 @@ def write_report(path: Path, found: Sequence[Row], title: str) -> None:
             for group in groups
         ],
         "most": metrics[0] == "psnr_aligned",  # the first metric is best where it is greatest; others: least
-        "curves": {x: _curves(curves(finished), x, metrics[0]) for x in against},
+        "curves": {
+            x: [
+                {"name": name, "points": [(across[0], *up) for across, up in points]}
+                for name, points in curves(finished, x, metrics[0]).items()
+            ]
+            for x in against
+        },
     }
     write_page(path, "sweep.html", ("plots.js", "sweep.js"), data)
 
@@ -136,14 +137,6 @@ def _run(folder: Path, row: Row) -> dict[str, Any]:
     report = folder / row.name / "report.html"
     link = f"{quote(row.name)}/report.html" if report.is_file() else None
     return {"name": row.name, "link": link, "done": bool(row.metrics), "error": printable(row.error)}
-
-
-def _curves(lines: dict[str, list[Group]], x: str, metric: str) -> list[dict[str, Any]]:
-    """Name, and (x, median, least, greatest) of each point, of each line."""
-    return [
-        {"name": name, "points": [(across[0], *up) for across, up in _points(groups, x, metric)]}
-        for name, groups in lines.items()
-    ]
 
 
 @dataclass(frozen=True)
@@ -211,9 +204,8 @@ def metrics_line(cell: Cell) -> str:
     """The metrics of one cell in a line."""
     found = make_rows([cell], {})
     heads, (body,) = table_lines(found)
-    return ", ".join(
-        f"{head} {each}" for head, each in list(zip(heads, body, strict=True))[-len(shown_metrics(found)) :]
-    )
+    pairs = list(zip(heads, body, strict=True))[-len(shown_metrics(found)) :]
+    return ", ".join(f"{head} {each}" for head, each in pairs)
 
 
 def markdown(found: Sequence[Row], title: str) -> str:
@@ -232,8 +224,8 @@ def markdown(found: Sequence[Row], title: str) -> str:
     )
 
 
-def write_csv(path: Path, found: Sequence[Row]) -> None:
-    """Write a line for each cell, with all its numbers; no text is a formula to a spreadsheet."""
+def csv_table(found: Sequence[Row]) -> str:
+    """A line for each cell, with all its numbers; no text is a formula to a spreadsheet."""
     names = {
         name: None
         for row in found
@@ -246,14 +238,13 @@ def write_csv(path: Path, found: Sequence[Row]) -> None:
     for row in found:
         cells = {**row.metrics, **row.values, "error": row.error}
         writer.writerow({name: _inert(cell) for name, cell in cells.items()})
-    with atomic_file(path) as part:
-        part.write_text(stream.getvalue(), encoding="utf-8")
+    return stream.getvalue()
 
 
-def write_markdown(path: Path, found: Sequence[Row], title: str) -> None:
-    """Write the table and the failures."""
+def write_text(path: Path, text: str) -> None:
+    """Write a text of a sweep, whole or not at all."""
     with atomic_file(path) as part:
-        part.write_text(markdown(found, title), encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
 
 
 def check_free(folder: Path) -> None:

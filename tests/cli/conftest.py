@@ -2,7 +2,6 @@ import resource
 from contextlib import contextmanager
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from deepir import registry
@@ -62,17 +61,6 @@ def nuc(deepir):
         return deepir("run", "nuc", "threads=1", "solver.max_iterations=3", *arguments)
 
     return run
-
-
-@pytest.fixture
-def save(folder):
-    """Save an array as `other.npz`; its name."""
-
-    def write(array, **more):
-        np.savez("other.npz", frames=array, **more)
-        return "other.npz"
-
-    return write
 
 
 @pytest.fixture

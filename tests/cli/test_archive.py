@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deepir.cli import archive
+from deepir.cli import correction
 from deepir.simulate import Settings, simulate
 
 
@@ -37,7 +37,7 @@ def quick(monkeypatch):
             path.write_text(config.data.path)
         return Found()
 
-    monkeypatch.setattr(archive, "correct_file", stand_in)
+    monkeypatch.setattr(correction, "correct_file", stand_in)
     return corrected
 
 
@@ -45,21 +45,27 @@ def lines(out):
     return [json.loads(line) for line in out.splitlines()]
 
 
-def test_shards_give_what_one_command_gives_and_what_is_done_is_skipped(deepir, recordings, folder):
-    status, out, _ = deepir("correct", "in", "--output-dir", "whole")
+@pytest.mark.usefixtures("recordings")
+def test_what_an_archive_gives_is_what_a_recording_gives_and_what_is_done_is_skipped(deepir, folder):
+    status, out, _ = deepir("correct", "in/deeper", "--output-dir", "whole")
     assert status == 0
-    assert [each["file"] for each in lines(out)] == ["in/a.npz", "in/b.npz", "in/deeper/a.npz"]
-    assert {each["status"] for each in lines(out)} == {"corrected"}
-    for part in ("1/2", "2/2"):
-        assert deepir("correct", "in", "--output-dir", "parts", "--shard", part)[0] == 0
-    for name in ("a.npz", "b.npz", "deeper/a.npz"):
-        for end in ("_corrected.tif", "_maps.npz"):
-            one, other = (folder / root / f"{name}{end}" for root in ("whole", "parts"))
-            assert one.read_bytes() == other.read_bytes()
-        assert json.loads((folder / f"whole/{name}.json").read_text())["frames"] == 12
-    status, out, err = deepir("correct", "in", "--output-dir", "whole")
+    assert [(each["file"], each["status"]) for each in lines(out)] == [("in/deeper/a.npz", "corrected")]
+    assert json.loads((folder / "whole/a.npz.json").read_text())["frames"] == 12
+    assert deepir("correct", "in/deeper/a.npz")[0] == 0
+    for end in ("_corrected.tif", "_maps.npz"):
+        alone = folder / f"a_corrected{end.removeprefix('_corrected')}"
+        assert (folder / f"whole/a.npz{end}").read_bytes() == alone.read_bytes()
+    status, out, err = deepir("correct", "in/deeper", "--output-dir", "whole")
     assert (status, out) == (0, "")
-    assert "3 recording(s), 3 of them done already" in err
+    assert "1 recording(s), 1 of them done already" in err
+
+
+@pytest.mark.usefixtures("recordings")
+def test_shards_share_out_the_recordings(deepir, quick):
+    for part in ("1/2", "2/2"):
+        assert deepir("correct", "in", "--output-dir", "out", "--shard", part)[0] == 0
+    assert quick == ["in/a.npz", "in/deeper/a.npz", "in/b.npz"]
+    assert "3 recording(s), 3 of them done already" in deepir("correct", "in", "--output-dir", "out")[2]
 
 
 @pytest.mark.usefixtures("recordings")
@@ -80,7 +86,7 @@ def test_what_changed_is_done_again_and_what_was_cut_short_for_the_first_time(de
 
 def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings, folder, quick, monkeypatch):
     (recordings / "b.npz").write_bytes(b"damaged")
-    stand_in = archive.correct_file
+    stand_in = correction.correct_file
 
     def reading(config, *outputs, **how):
         from deepir.io import stream_data
@@ -88,7 +94,7 @@ def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings
         next(stream_data(config.data))
         return stand_in(config, *outputs, **how)
 
-    monkeypatch.setattr(archive, "correct_file", reading)
+    monkeypatch.setattr(correction, "correct_file", reading)
     status, out, _ = deepir("correct", "in", "--output-dir", "out")
     assert status == 2
     assert [each["status"] for each in lines(out)] == ["corrected", "refused", "corrected"]
@@ -97,7 +103,7 @@ def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings
     def broken(config, *outputs, **how):
         raise ZeroDivisionError("of nothing")
 
-    monkeypatch.setattr(archive, "correct_file", broken)
+    monkeypatch.setattr(correction, "correct_file", broken)
     status, out, _ = deepir("correct", "in", "--output-dir", "other")
     assert status == 1
     assert lines(out)[0]["messages"][0].startswith("ZeroDivisionError: of nothing (test_archive.py:")

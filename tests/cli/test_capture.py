@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deepir.cameras import camera as capturing
+from deepir.cli.terminal import Interrupted
 from deepir.io import read_frames
 
 
@@ -86,32 +87,24 @@ def test_a_shutter_in_the_midst_is_reported(fake, take, monkeypatch, burst):
     assert "Switch the automatic correction off" in err
 
 
-def test_a_picture_that_does_not_change_ends_it(fake, take, folder):
-    fake.frames = fake.frames[:1]
-    status, _, err = take("--frames", 3)
-    assert status == 2
-    assert "has not changed for" in err
-    assert "shutter" in err
+@pytest.mark.parametrize(
+    ("count", "then", "status", "says"),
+    [
+        (1, [], 2, ["has not changed for", "shutter"]),
+        (0, [None], 2, ["has sent nothing"]),
+        (2, [Interrupted(2)], 130, ["deepir: interrupted; nothing was written\n"]),
+    ],
+)
+def test_a_camera_that_fails_and_ctrl_c_write_nothing_and_give_the_camera_back(
+    fake, take, folder, count, then, status, says
+):
+    fake.frames = [*fake.frames[:count], *then]
+    found, _, err = take("--frames", 3)
+    assert found == status
+    for each in says:
+        assert each in err
     assert not (folder / "taken.npz").exists()
     assert fake.closed == 1
-
-
-def test_a_camera_that_sends_nothing_ends_it(fake, take):
-    fake.frames = [None]
-    status, _, err = take()
-    assert status == 2
-    assert "has sent nothing" in err
-
-
-def test_ctrl_c_gives_the_camera_back(fake, take, folder):
-    from deepir.cli.terminal import Interrupted
-
-    fake.frames = [*fake.frames[:2], Interrupted(2)]
-    status, _, err = take("--frames", 3)
-    assert status == 130
-    assert err.endswith("deepir: interrupted; nothing was written\n")
-    assert fake.closed == 1
-    assert not (folder / "taken.npz").exists()
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ class TestHere:
         row, _ = table(folder / "runs/nuc-compare")
         assert float(row["seconds"]) < 0.3
 
-    def test_the_same_command_again_keeps_what_is_finished(self, deepir, folder):
+    def test_what_is_finished_is_kept_and_other_settings_want_another_folder_or_overwrite(self, deepir, folder):
         deepir(*AVERAGES)
         before = {path: path.stat().st_mtime_ns for path in folder.rglob("result.npz")}
         status, _, err = deepir(*AVERAGES[:-1], "seed=0,1,2")
@@ -123,9 +123,6 @@ class TestHere:
         after = {path: path.stat().st_mtime_ns for path in folder.rglob("result.npz")}
         assert before.items() < after.items()
         assert len(after) == 3
-
-    def test_other_settings_want_another_folder_or_overwrite(self, deepir, folder):
-        deepir(*AVERAGES)
         other = (*AVERAGES, "solver.max_iterations=2")
         status, _, err = deepir(*other)
         assert status == 2

@@ -40,7 +40,7 @@ def test_frames_are_written_in_their_own_type(deepir, recording):
 def test_raw_frames_pass_from_standard_input_to_standard_output(deepir, recording, monkeypatch, crop, left):
     incoming, outgoing = io.BytesIO(recording.tobytes()), io.BytesIO()
     monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=incoming))
-    monkeypatch.setattr("deepir.cli.live_frames.standard_output", lambda: outgoing)
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(outgoing))
     sizes = "data.raw.width=32", "data.raw.height=24", *crop
     status, _, err = deepir("live", "-", *sizes, "--fast", "--output", "-")
     assert status == 0, err
@@ -108,7 +108,7 @@ def test_a_port_that_is_taken_is_one_line(refused, recording):
     pytest.importorskip("uvicorn", reason="no uvicorn: pip install 'deepir[live]'")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         command = ("live", "drive.npy", "--page", "--port", taken.getsockname()[1])
-        refused(command, "choose another with --port")
+        refused(command, "in use; choose another with --port")
 
 
 def test_only_a_page_needs_its_libraries(recording):

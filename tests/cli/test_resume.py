@@ -1,43 +1,64 @@
-"""`deepir resume`: after any interruption the scene is that of a run that was left alone."""
+"""`deepir resume`: after any interruption the scene is that of a run that was left alone.
+
+The last test counts a few of what `make reliability` counts: runs that are killed, race for a folder, or find a
+damaged state.
+"""
 
 import os
+import shutil
 import signal
-from contextlib import contextmanager, nullcontext
+import subprocess
+import sys
+from contextlib import chdir, contextmanager, nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
+from documentation import ROOT
 
 from deepir.api import run
+from deepir.cli import main
 from deepir.cli.terminal import Interrupted, Interruptible
 from deepir.errors import DataError
 from deepir.storage.folder import RunFolder
 
-RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=8")
+RUN = ("run", "nuc", "data.path=burst.npz", "threads=1", "solver.max_iterations=3")
 
 
 @pytest.fixture(scope="module")
 def scene(burst):
     """The scene of a run that is left alone."""
-    return run("nuc", "solver.max_iterations=8", frames=burst.frames, threads=1).scene
+    return run("nuc", "solver.max_iterations=3", frames=burst.frames, threads=1).scene
+
+
+@contextmanager
+def signalled(number, iteration):
+    """A context in which a signal is sent to this process at the n-th iteration."""
+    count = iter(range(1, 10_000))
+
+    def callback(progress):
+        if next(count) == iteration:
+            os.kill(os.getpid(), number)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deepir.report.progress.show_progress", lambda: nullcontext(callback))
+        yield
+
+
+@pytest.fixture(scope="module")
+def stopped(burst, tmp_path_factory):
+    """The folder of a run that a signal ended at its fifth iteration; its input lies elsewhere."""
+    folder = tmp_path_factory.mktemp("stopped")
+    burst.save(folder / "burst.npz")
+    with signalled(signal.SIGTERM, 5), chdir(folder):
+        assert main(RUN) == 143
+    return folder / "runs/nuc"
 
 
 @pytest.fixture
-def signalled(monkeypatch):
-    """Send a signal to this process at the n-th iteration."""
-
-    @contextmanager
-    def at(number, iteration):
-        count = iter(range(1, 10_000))
-
-        def callback(progress):
-            if next(count) == iteration:
-                os.kill(os.getpid(), number)
-
-        with monkeypatch.context() as patch:
-            patch.setattr("deepir.report.progress.show_progress", lambda: nullcontext(callback))
-            yield
-
-    return at
+def interrupted(folder, stopped):
+    """The same run, in the working folder."""
+    return Path(shutil.copytree(stopped, folder / "runs/nuc"))
 
 
 @pytest.fixture
@@ -55,9 +76,9 @@ def resumed(deepir, scene):
 
 @pytest.mark.parametrize(
     ("number", "status", "iteration"),
-    [(signal.SIGINT, 130, 1), (signal.SIGTERM, 143, 5), (signal.SIGINT, 130, 8), (signal.SIGTERM, 143, 13)],
+    [(signal.SIGINT, 130, 1), (signal.SIGTERM, 143, 5), (signal.SIGINT, 130, 6), (signal.SIGTERM, 143, 13)],
 )
-def test_after_a_signal(deepir, resumed, signalled, number, status, iteration):
+def test_after_a_signal(deepir, resumed, number, status, iteration):
     with signalled(number, iteration):
         found, _, err = deepir(*RUN)
     assert found == status
@@ -65,9 +86,7 @@ def test_after_a_signal(deepir, resumed, signalled, number, status, iteration):
     assert "starts again" not in resumed()
 
 
-def test_twice(deepir, resumed, signalled):
-    with signalled(signal.SIGTERM, 3):
-        deepir(*RUN)
+def test_twice(deepir, interrupted, resumed):
     with signalled(signal.SIGTERM, 4):
         status, _, err = deepir("resume", "runs/nuc")
     assert status == 143
@@ -92,26 +111,21 @@ def test_the_second_signal_ends_at_once():
             os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_a_finished_run_has_nothing_to_resume(deepir, folder):
-    deepir(*RUN)
-    before = (folder / "runs/nuc/result.npz").stat().st_mtime_ns
+def test_a_finished_run_has_nothing_to_resume(deepir, interrupted, resumed):
+    resumed()
+    before = (interrupted / "result.npz").stat().st_mtime_ns
     status, out, _ = deepir("resume", "runs/nuc")
     assert (status, out) == (0, "runs/nuc: already finished\n")
-    assert (folder / "runs/nuc/result.npz").stat().st_mtime_ns == before
-
-
-@pytest.fixture
-def interrupted(deepir, folder, signalled):
-    with signalled(signal.SIGTERM, 5):
-        deepir(*RUN)
-    return folder / "runs/nuc"
+    assert (interrupted / "result.npz").stat().st_mtime_ns == before
 
 
 def test_another_run_names_the_way_to_resume(refused, interrupted):
     refused(RUN, "(interrupted); continue it with", f"deepir resume {interrupted}")
 
 
-def test_a_changed_input_is_refused(refused, folder, interrupted, burst):
+def test_a_changed_input_is_refused(deepir, refused, folder, burst):
+    with signalled(signal.SIGTERM, 1):
+        deepir(*RUN)
     np.savez(folder / "burst.npz", frames=burst.frames[:, ::-1])
     refused(("resume", "runs/nuc"), "burst.npz has changed since the run started")
 
@@ -154,12 +168,10 @@ def test_one_process_at_a_time(refused, interrupted, resumed):
 
 
 @pytest.mark.parametrize("setting", ["seed=1", "data.frames=[0,2,1]"])
-def test_a_checkpoint_of_another_run_is_reported_and_the_run_starts_again(
-    deepir, folder, interrupted, resumed, signalled, setting
-):
+def test_a_checkpoint_of_another_run_is_reported_and_the_run_starts_again(deepir, interrupted, resumed, setting):
     with signalled(signal.SIGTERM, 5):
         deepir(*RUN, setting, "output.dir=runs/other")
-    (folder / "runs/other/checkpoint.safetensors").replace(interrupted / "checkpoint.safetensors")
+    (interrupted.parent / "other/checkpoint.safetensors").replace(interrupted / "checkpoint.safetensors")
     err = resumed()
     assert "of other frames, another configuration or another version" in err
     assert "starts again" in err
@@ -178,7 +190,7 @@ def test_a_history_of_odd_types_is_one_line(small_nuc, tmp_path, field):
         restore_state(problem, [], checkpoint)
 
 
-def test_a_replacement_is_interrupted_and_resumed(deepir, folder, resumed, signalled):
+def test_a_replacement_is_interrupted_and_resumed(deepir, folder, resumed):
     deepir(*RUN, "seed=1")
     before = (folder / "runs/nuc/result.npz").read_bytes()
     with signalled(signal.SIGTERM, 5):
@@ -189,3 +201,15 @@ def test_a_replacement_is_interrupted_and_resumed(deepir, folder, resumed, signa
     assert "(interrupted); continue it with" in deepir(*RUN)[2]
     resumed()
     assert not (folder / "runs/nuc/.unfinished").exists()
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(20, marks=[pytest.mark.slow, pytest.mark.timeout(600)])])
+def test_a_result_is_whole_and_that_of_a_run_left_alone(count):
+    code = (
+        "from reliability_runs import count_runs\n"
+        "for part in ('kills', 'races', 'flipped bits'):\n"
+        f"    print(part, count_runs(part, 0, {count})['failed'])"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT / "benchmarks", capture_output=True, text=True, check=False)
+    assert done.stdout == "kills 0\nraces 0\nflipped bits 0\n", done.stderr

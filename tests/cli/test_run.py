@@ -35,8 +35,16 @@ def held(folder):
     return {path.name for path in folder.iterdir()}
 
 
-def test_the_result_holds_every_array_on_its_grid(nuc, folder):
-    nuc("data.path=burst.npz")
+@pytest.fixture
+def averaged(nuc, folder):
+    """The folder of a finished run, one that takes no solve."""
+    assert nuc("data.path=burst.npz", "method=average")[0] == 0
+    return folder / "runs/nuc"
+
+
+def test_a_finished_run_leaves_its_files_and_every_array_on_its_grid(nuc, folder):
+    status, out, _ = nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
+    assert status == 0
     found = np.load("runs/nuc/result.npz")
     shapes = {name: found[name].shape for name in found}
     assert shapes == {
@@ -46,11 +54,6 @@ def test_the_result_holds_every_array_on_its_grid(nuc, folder):
     assert found["scene"].dtype == np.float32
     assert found["bad_pixels"].dtype == found["frames_used"].dtype == bool
     assert np.array_equal(tifffile.imread("runs/nuc/scene.tiff"), found["scene"])
-
-
-def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder):
-    status, out, _ = nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
-    assert status == 0
     assert held(folder / "runs/nuc") == ENDED
     with Image.open("runs/nuc/summary.png") as picture:
         assert picture.width > 600
@@ -68,9 +71,8 @@ def test_a_finished_run_leaves_its_files_in_its_folder(nuc, folder):
     assert 50 < metrics["peak_memory_mb"] < 5000
 
 
-def test_the_average_has_the_same_metrics(nuc, folder):
-    assert nuc("data.path=burst.npz", "method=average")[0] == 0
-    metrics = json.loads((folder / "runs/nuc/metrics.json").read_text())
+def test_the_average_has_the_same_metrics(averaged):
+    metrics = json.loads((averaged / "metrics.json").read_text())
     assert metrics["held_out_rmse"] > 0
     assert metrics["strengths"] == {}
 
@@ -84,12 +86,11 @@ def test_overwrite_replaces_the_run_and_nothing_else(nuc, folder):
     assert "seed: 2" in (folder / "runs/nuc/config.yaml").read_text()
 
 
-def test_overwriting_with_bad_data_keeps_the_former_run(nuc, folder, save, burst):
-    nuc("data.path=burst.npz")
-    before = {path.name: path.read_bytes() for path in (folder / "runs/nuc").iterdir()}
-    still = save(burst.frames[[0, 0, 0]])
-    assert nuc(f"data.path={still}", "--overwrite")[0] == 2
-    assert {path.name: path.read_bytes() for path in (folder / "runs/nuc").iterdir()} == before
+def test_overwriting_with_bad_data_keeps_the_former_run(nuc, averaged, burst):
+    before = {path.name: path.read_bytes() for path in averaged.iterdir()}
+    np.savez("still.npz", frames=burst.frames[[0, 0, 0]])
+    assert nuc("data.path=still.npz", "--overwrite")[0] == 2
+    assert {path.name: path.read_bytes() for path in averaged.iterdir()} == before
 
 
 def test_files_that_no_run_wrote_are_safe_even_from_overwrite(refused, folder):
@@ -99,8 +100,7 @@ def test_files_that_no_run_wrote_are_safe_even_from_overwrite(refused, folder):
     assert (folder / "scene.tiff").read_text() == "mine"
 
 
-def test_a_run_does_not_replace_its_own_input(nuc, refused):
-    nuc("data.path=burst.npz", "method=average")
+def test_a_run_does_not_replace_its_own_input(averaged, refused):
     own = ("data.path=runs/nuc/result.npz", "data.key=scene")
     refused(("run", "nuc", *own, "--overwrite"), "would replace")
 
@@ -151,19 +151,18 @@ def test_something_unforeseen_is_one_line_and_a_traceback_in_the_log(nuc, folder
     assert "Traceback" in (folder / "runs/nuc/deepir.log").read_text()
 
 
-def test_what_is_wrong_with_the_input_comes_before_a_former_run(nuc, refused, folder):
-    nuc("data.path=burst.npz", "method=average")
-    np.save(folder / "flat.npy", np.zeros((3, 40, 48), np.float32))
+def test_what_is_wrong_with_the_input_comes_before_a_former_run(averaged, refused):
+    np.save("flat.npy", np.zeros((3, 40, 48), np.float32))
     wrong = {
         "data.path=none.npz": "none.npz: no such file",
         "device=none": "device: 'none' cannot be used here",
         "data.path=flat.npy": "flat.npy",
     }
-    before = (folder / "runs/nuc/result.npz").read_bytes()
+    before = (averaged / "result.npz").read_bytes()
     for setting, message in wrong.items():
         refused(("run", "nuc", "data.path=burst.npz", setting), message)
     refused(("run", "nuc", "data.path=burst.npz"), "already contains a run (finished)", "--overwrite")
-    assert (folder / "runs/nuc/result.npz").read_bytes() == before
+    assert (averaged / "result.npz").read_bytes() == before
 
 
 @pytest.mark.parametrize("after", ["moved", "deleted", "replaced"])

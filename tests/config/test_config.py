@@ -155,8 +155,10 @@ def test_a_shipped_name_is_found_and_a_file_of_that_name_is_not_mistaken(tmp_pat
     assert find("nuc").name == "nuc.yaml"
 
 
-def test_options_from_python_may_hold_paths(tmp_path):
-    assert load("nuc", options={"data": {"path": tmp_path / "a.npz"}}).data.path == str(tmp_path / "a.npz")
+def test_options_from_python_may_hold_paths_and_scalars_of_numpy(tmp_path):
+    options = {"data": {"path": tmp_path / "a.npz"}, "noise": {"read": np.float64(0.5)}, "seed": np.int64(3)}
+    for config in (load("nuc", options=options), load({"physics": {}} | options)):
+        assert (config.data.path, config.noise.read, config.seed) == (str(tmp_path / "a.npz"), 0.5, 3)
 
 
 def test_no_import_path_is_a_type():

@@ -5,39 +5,34 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from deepir import registry
 from deepir.config import dump, load, read
 from deepir.errors import ConfigError
 from deepir.pipeline.whole_recording import chosen
 from deepir.registry import register
 
 
-@pytest.fixture
-def mine(monkeypatch):
+@pytest.fixture(autouse=True)
+def mine(own_components):
     """A method with an option."""
-    registry.components("method")  # those that there are, before the copy
-    monkeypatch.setattr(registry, "_components", {k: dict(v) for k, v in registry._components.items()})
 
     @register("method", "mine")
     def mine(burst, config, *, times: Annotated[int, Field(ge=1)] = 1):
         """Of one's own."""
         return burst, times
 
-    return mine
 
-
-def test_a_name_is_a_method_without_options(mine):
+def test_a_name_is_a_method_without_options():
     name, run = chosen(load("nuc", ["method=mine"]))
     assert name == "mine"
     assert run("burst", "config", callbacks=(), checkpoint=None) == ("burst", 1)
 
 
 @pytest.mark.parametrize("settings", [["method=mine", "method.times=3"], ["method={type: mine, times: 3}"]])
-def test_options_are_those_of_its_signature(mine, settings):
+def test_options_are_those_of_its_signature(settings):
     assert chosen(load("nuc", settings))[1]("burst", "config") == ("burst", 3)
 
 
-def test_options_are_written_and_read_back(mine, tmp_path):
+def test_options_are_written_and_read_back(tmp_path):
     (tmp_path / "config.yaml").write_text(dump(load("nuc", ["method=mine", "method.times=3"])))
     assert read(tmp_path / "config.yaml").method == {"type": "mine", "times": 3}
 
@@ -53,6 +48,6 @@ def test_options_are_written_and_read_back(mine, tmp_path):
         (["method.times=3"], "method 'joint': no option 'times'"),
     ],
 )
-def test_errors_name_the_method_and_what_is_allowed(mine, settings, message):
+def test_errors_name_the_method_and_what_is_allowed(settings, message):
     with pytest.raises(ConfigError, match=message):
         chosen(load("nuc", settings))

@@ -22,14 +22,17 @@ def tiny():
     return Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool)), motion
 
 
-@pytest.mark.parametrize(
-    ("name", "more"),
-    [(name, []) for name in shipped_names()]
-    + [(name, ["prior=tv"]) for name in shipped_names()]
-    + [("nuc", [f"prior={prior}"]) for prior in prior_names()],
+#: Each configuration with its own prior and with TV, and one with all.
+PAIRS = dict.fromkeys(
+    (name, prior)
+    for name in shipped_names()
+    for prior in (load(name).prior, "tv", *(prior_names() if name == "nuc" else ()))
 )
-def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, more, tiny):
-    config = load(name, [*more, "solver.max_iterations=2"])
+
+
+@pytest.mark.parametrize(("name", "prior"), PAIRS)
+def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, prior, tiny):
+    config = load(name, [f"prior={prior}", "solver.max_iterations=2"])
     burst, motion = tiny
     problem, _ = build(config, burst, motion)
     definition = lookup("problem", config.problem)()

@@ -14,7 +14,6 @@ import tifffile
 from PIL import Image
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from deepir.errors import ConfigError
 from deepir.io.output.tone_mapping import apply_palette, percentile
 from deepir.io.radiometry import Linear
 from deepir.live.page import views
@@ -226,14 +225,6 @@ def test_snapshots_are_the_corrected_frame(live, address):
     assert np.array_equal(np.asarray(Image.open(io.BytesIO(picture))), shown)
     assert get(address, "snapshot.png?palette=pink&tones=percentile")[0] == 404
     assert get(address, "palettes/pink.png")[0] == 404
-
-
-def test_a_port_that_is_taken_is_an_error(live, address):
-    with (
-        pytest.raises(ConfigError, match=r"in use; choose another with --port"),
-        serve(live.session, "127.0.0.1", urlsplit(address).port),
-    ):
-        pass
 
 
 def test_the_end_takes_no_time_however_many_look(live, viewer):

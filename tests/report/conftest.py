@@ -1,5 +1,8 @@
 """A run made up, and its report in a browser."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 
@@ -39,6 +42,17 @@ def example(result):
 @pytest.fixture
 def config():
     return load("nuc", ["data.path=camera.npz"])
+
+
+@pytest.fixture
+def data():
+    """What the scripts of a page are given."""
+
+    def read(path):
+        page = path.read_text(encoding="utf-8")
+        return json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1])
+
+    return read
 
 
 @pytest.fixture

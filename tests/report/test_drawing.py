@@ -6,6 +6,7 @@ from deepir.io.output.tone_mapping import COLOURS, DEVIATIONS, SIGNED, WHITE_HOT
 from deepir.report.drawing import (
     MISSING_COLOUR,
     Axes,
+    Scale,
     draw_map,
     enlarged,
     labels,
@@ -75,7 +76,7 @@ def test_a_pixel_stays_a_square_and_smaller_pictures_are_means():
 
 
 def test_a_curve_is_drawn_where_its_values_are():
-    axes = Axes((300, 250), "loss", (0, 10), (1, 1000), "iteration", log=True)
+    axes = Axes((300, 250), "loss", Scale(0, 10), Scale(1, 1000, log=True), "iteration")
     axes.line(np.array([0.0, 10.0]), np.array([10.0, 10.0]), "#ff0000", "stage")
     picture = np.asarray(axes.picture(), int)
     rows = np.flatnonzero((picture[:, 100] == [255, 0, 0]).all(1))

@@ -1,7 +1,6 @@
 """`report.html` as a file: what it holds, how large it is, and that nothing in it can act."""
 
 import base64
-import json
 import re
 import time
 import zlib
@@ -21,9 +20,15 @@ def unpacked(found):
     return np.where(levels == MISSING_LEVEL, np.nan, found["base"] + found["step"] * levels)
 
 
-def data(path):
-    page = path.read_text(encoding="utf-8")
-    return json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1])
+@pytest.fixture
+def report(tmp_path, result, example, config):
+    """Write the report; its path."""
+
+    def write():
+        write_report(tmp_path / "report.html", result, example, config)
+        return tmp_path / "report.html"
+
+    return write
 
 
 @pytest.mark.parametrize("outlier", [0.0, 16383.0, 1e9, -1e30, np.nan, np.inf])
@@ -49,9 +54,8 @@ def test_a_map_in_the_order_of_matlab_is_a_map():
     assert pack_map(np.asfortranarray(image)) == pack_map(image)
 
 
-def test_a_report_holds_every_map_of_the_run(tmp_path, result, example, config):
-    write_report(tmp_path / "report.html", result, example, config)
-    maps = {each["name"]: each for each in data(tmp_path / "report.html")["maps"]}
+def test_a_report_holds_every_map_of_the_run(report, data, example):
+    maps = {each["name"]: each for each in data(report())["maps"]}
     assert list(maps) == [
         "raw", "scene", "scene_kelvin", "gain", "offset", "stray", "psf", "bad_pixels",
         "scene_sd", "gain_sd", "offset_sd",
@@ -61,30 +65,27 @@ def test_a_report_holds_every_map_of_the_run(tmp_path, result, example, config):
     assert maps["gain"]["low"] + maps["gain"]["high"] == pytest.approx(2)
 
 
-def test_where_each_frame_has_a_scene_of_its_own_some_are_shown(tmp_path, result, example, config):
+def test_where_each_frame_has_a_scene_of_its_own_some_are_shown(report, data, result, example):
     result.scene = np.stack([result.scene + each for each in range(8)])
     result.extra = {"scene_kelvin": 200 + 0.01 * result.scene, "flow": np.zeros((8, 2, *example.shape))}
     result.uncertainty["scene"] = np.ones(result.scene.shape)
-    write_report(tmp_path / "report.html", result, example, config)
-    names = [each["name"] for each in data(tmp_path / "report.html")["maps"]]
+    names = [each["name"] for each in data(report())["maps"]]
     assert [name for name in names if name.startswith("scene")] == [
         "scene", "scene_2", "scene_5", "scene_7",
         "scene_kelvin", "scene_kelvin_2", "scene_kelvin_5", "scene_kelvin_7", "scene_sd",
     ]  # fmt: skip
 
 
-def test_no_text_ends_the_data_or_starts_an_element(tmp_path, result, example, config):
+def test_no_text_ends_the_data_or_starts_an_element(report, data, result):
     result.messages = ["</script><script>alert(1)</script>", "<!-- <img src=x onerror=alert(2)> %script%"]
-    write_report(tmp_path / "report.html", result, example, config)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = report().read_text(encoding="utf-8")
     assert page.count("<script") == 2
     assert "<img" not in page
-    assert data(tmp_path / "report.html")["messages"] == labelled(result.messages)
+    assert data(report())["messages"] == labelled(result.messages)
 
 
-def test_a_page_loads_nothing(tmp_path, result, example, config):
-    write_report(tmp_path / "report.html", result, example, config)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+def test_a_page_loads_nothing(report):
+    page = report().read_text(encoding="utf-8")
     assert not re.search(r"\b(src|href)=|@import|url\(", page)
     assert "default-src 'none'" in page
 

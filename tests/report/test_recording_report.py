@@ -1,6 +1,5 @@
 """The page of a corrected recording."""
 
-import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -10,7 +9,7 @@ import pytest
 
 from deepir.messages import Message
 from deepir.recording.estimate import SensorEstimate
-from deepir.report.recording import verdict, write_recording_report
+from deepir.report.recording import _wider, verdict, write_recording_report
 
 SHAPE = (24, 32)
 
@@ -37,8 +36,7 @@ class Recording:
 
 
 def told(**changes):
-    recording = Recording(**changes)
-    return verdict(recording, "counts")
+    return verdict(Recording(**changes), "counts")
 
 
 def test_the_verdict_says_how_much_pattern_there_was_and_is():
@@ -69,22 +67,18 @@ def test_local_displacements_are_less_sure_of_shading():
     assert "shading is less sure" in told(motion_error=np.inf).more
 
 
-def test_the_page_holds_frames_difference_and_maps(tmp_path):
-    recording = Recording()
-    write_recording_report(tmp_path / "page.html", recording, "films/drive.avi", "counts", ["motion: none"])
-    text = (tmp_path / "page.html").read_text()
-    data = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
-    assert (data["title"], data["source"]) == ("correction", "drive.avi")
-    names = [each["name"] for each in data["maps"]]
+def test_the_page_holds_frames_difference_and_maps(tmp_path, data):
+    write_recording_report(tmp_path / "page.html", Recording(), "films/drive.avi", "counts", ["motion: none"])
+    shown = data(tmp_path / "page.html")
+    assert (shown["title"], shown["source"]) == ("correction", "drive.avi")
+    names = [each["name"] for each in shown["maps"]]
     assert names == ["raw", "scene", "difference", "offset", "offset_sd", "gain", "bad_pixels"]
-    assert ["bad pixels", "1"] in data["figures"]
-    assert data["messages"][-1] == "motion: none"
+    assert ["bad pixels", "1"] in shown["figures"]
+    assert shown["messages"][-1] == "motion: none"
 
 
 @pytest.mark.parametrize("width", [32, 640])
 def test_bad_pixels_are_seen_on_the_page_whatever_the_size(width):
-    from deepir.report.recording import _wider
-
     bad = np.zeros((40, width), bool)
     bad[20, 16] = True
     assert np.sqrt(_wider(bad).sum()) >= width / 200

@@ -103,7 +103,7 @@ def test_a_burst_that_cannot_be_read_is_left_to_its_run_once_another_is_finished
 )
 def test_runs_share_out_the_cores(tmp_path, monkeypatch, given, count, cores, workers, threads):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("deepir.sweep.cluster.core_count", lambda: cores)
+    monkeypatch.setattr("deepir.sweep.cluster.CORES", cores)
     fixed, axes = parse_axes([SMALL, "method=average", *given, f"seed={','.join(map(str, range(count)))}"])
     with prepare("nuc", fixed, axes, folder=tmp_path) as sweep:
         assert sweep.workers == workers

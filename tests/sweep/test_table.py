@@ -1,6 +1,8 @@
 """What came out, in numbers and pictures."""
 
 import csv
+import io
+import itertools
 
 import pytest
 from PIL import Image
@@ -11,14 +13,14 @@ from deepir.sweep.cells import Cell
 from deepir.sweep.table import (
     Row,
     check_free,
+    csv_table,
     group_rows,
     make_rows,
     markdown,
     table_lines,
-    write_csv,
-    write_markdown,
     write_plots,
     write_report,
+    write_text,
 )
 
 
@@ -30,12 +32,8 @@ def row(prior, frames, seed, psnr=None, error=""):
 
 @pytest.fixture
 def rows():
-    return [
-        row(prior, frames, seed, 30 + frames + seed**2)
-        for prior in ("tv", "dip")
-        for frames in (3, 5)
-        for seed in (0, 1, 2)
-    ]
+    cells = itertools.product(("tv", "dip"), (3, 5), (0, 1, 2))
+    return [row(prior, frames, seed, 30 + frames + seed**2) for prior, frames, seed in cells]
 
 
 def test_cells_that_differ_in_seeds_are_one_line_with_median_and_range(rows):
@@ -64,19 +62,9 @@ def test_without_truth_the_held_out_error_is_shown():
     )
 
 
-def test_the_csv_has_a_line_for_each_cell_and_each_column_once(rows, tmp_path):
-    write_csv(tmp_path / "table.csv", [*rows, row("tv", 5, 3, error="no, not this")])
-    with (tmp_path / "table.csv").open() as file:
-        found = list(csv.DictReader(file))
-        assert found[0].keys() == {
-            "prior",
-            "data.frames",
-            "seed",
-            "psnr_aligned",
-            "seconds",
-            "frames",
-            "error",
-        }
+def test_the_csv_has_a_line_for_each_cell_and_each_column_once(rows):
+    found = list(csv.DictReader(io.StringIO(csv_table([*rows, row("tv", 5, 3, error="no, not this")]))))
+    assert found[0].keys() == {"prior", "data.frames", "seed", "psnr_aligned", "seconds", "frames", "error"}
     assert len(found) == len(rows) + 1
     assert found[-1]["error"] == "no, not this"
     assert found[1]["psnr_aligned"] == "34"
@@ -100,7 +88,7 @@ def test_a_table_that_no_sweep_wrote_is_safe(rows, tmp_path):
     (tmp_path / "table.csv").write_text("mine")
     with pytest.raises(ConfigError, match=r"table.csv, which no comparison wrote"):
         check_free(tmp_path)
-    write_markdown(tmp_path / "table.md", rows, "deepir compare")
+    write_text(tmp_path / "table.md", markdown(rows, "deepir compare"))
     check_free(tmp_path)
 
 
@@ -124,22 +112,18 @@ def odd(tmp_path):
 
 
 def test_no_name_begins_a_line_or_moves_the_cursor(odd, tmp_path):
-    write_csv(tmp_path / "table.csv", odd)
-    write_markdown(tmp_path / "table.md", odd, f"deepir batch {NAME}")
     write_plots(tmp_path / "quality.png", odd)
     write_report(tmp_path / "report.html", odd, f"deepir batch {NAME}")
     assert (tmp_path / "quality.png").exists()
-    for name in ("table.csv", "table.md", "report.html"):
-        text = (tmp_path / name).read_text(encoding="utf-8")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for text in (csv_table(odd), markdown(odd, f"deepir batch {NAME}"), page):
         assert all(line.isprintable() for line in text.replace("\t", "").split("\n"))
         assert "\\u001b" not in text
         assert "\n\\x1b" not in text
 
 
-def test_no_cell_of_the_csv_is_a_formula(odd, tmp_path):
+def test_no_cell_of_the_csv_is_a_formula(odd):
     more = [Row("c", {"scene": text}, {}) for text in ("-1.5", "+A1", "@a", "-a", "1e3")]
-    write_csv(tmp_path / "table.csv", [*odd, *more])
-    with (tmp_path / "table.csv").open() as file:
-        found = [line["scene"] for line in csv.DictReader(file)]
+    found = [line["scene"] for line in csv.DictReader(io.StringIO(csv_table([*odd, *more])))]
     assert found[0].startswith("'=cmd")
     assert found[2:] == ["-1.5", "'+A1", "'@a", "'-a", "1e3"]

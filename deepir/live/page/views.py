@@ -197,10 +197,8 @@ class Session:
 
     def _execute(self, command: Command) -> None:
         match command:
-            case "hold":
-                self._corrector.hold = True
-            case "learn":
-                self._corrector.hold = False
+            case "hold" | "learn":
+                self._corrector.hold = command == "hold"
             case "reset":
                 self._corrector.reset()
             case "record":

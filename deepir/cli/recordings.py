@@ -1,7 +1,8 @@
-"""The commands `apply` and `calibrate`: maps of a camera."""
+"""Commands that correct recordings: `correct`, and `calibrate` and `apply`, with maps of a camera."""
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +22,8 @@ from deepir.cli.arguments import (
     recording_radiometry,
     split_arguments,
 )
-from deepir.cli.terminal import Interruptible, echo, notify
+from deepir.cli.terminal import Interrupted, Interruptible, echo, notify, watched_solve
+from deepir.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from deepir.calibration import CorrectionMaps
@@ -29,6 +31,52 @@ if TYPE_CHECKING:
 
 MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
 MOTION_CHECK_FRAMES = 8  # first frames of a flat recording that are checked for motion
+
+
+def correct(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A recording of a camera that moves.")],
+    settings: ReadingSettings = None,
+    output: CorrectedOutput = None,
+    float32: Float32 = False,
+    overwrite: Overwrite = False,
+    output_dir: Annotated[
+        Path | None, typer.Option(help="Correct many: FILE is a folder of recordings, or a list of them (.txt).")
+    ] = None,
+    shard: Annotated[str, typer.Option(metavar="I/N", help="With --output-dir: the I-th of N parts.")] = "1/1",
+) -> int:
+    """Correct a whole recording of a moving camera: deepir correct drive.avi.
+
+    Writes the corrected recording, the camera's maps (OUTPUT_maps.npz, for `deepir apply`), and to look at a report
+    (OUTPUT.html) and a picture (OUTPUT.png).
+    The recording may be larger than the memory. Settings: data.key, data.frames, data.raw, data.axes, data.crop,
+    data.swap_bytes, data.radiometry, output.palette, output.tones.
+
+    deepir correct FOLDER --output-dir DIR corrects all recordings of a folder; one JSON line each. What is done already
+    is skipped, so the same command goes on where it was interrupted.
+    """
+    if output_dir is not None:
+        if output is not None:
+            raise ConfigError("--output is of one recording; with --output-dir leave it out")
+        from deepir.cli.correction import correct_all
+
+        return correct_all(file, settings or (), output_dir, shard, rounded=not float32, overwrite=overwrite)
+    config = recording_config(file, settings or (), RECORDING_SETTINGS)
+    target = output or Path(f"{Path(file).stem}_corrected.tif")
+    maps, picture, page = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png", ".html"))
+    known = maps.exists()
+    try:
+        with (
+            Interruptible(),
+            held_outputs(target, maps, picture, page, overwrite=overwrite, source=config.data.path),
+        ):
+            from deepir.cli.correction import correct_file
+
+            correct_file(config, target, maps, picture, page, rounded=not float32)
+    except Interrupted as error:
+        if maps.exists() and not known:
+            error.outcome = f"interrupted; go on with: deepir apply {maps} {file}"
+        raise
+    return 0
 
 
 def apply(
@@ -69,8 +117,6 @@ def _messages(maps: Path) -> list[str]:
 
 def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:
     """Write all frames; a line with the result."""
-    import itertools
-
     from deepir.io import stream_data
     from deepir.io.output.recording import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
@@ -109,8 +155,6 @@ def calibrate(
 
     One flat recording gives the offset, two or more the gain too. With --burst both come from the scene's motion.
     """
-    from deepir.errors import DataError
-
     files, settings = split_arguments(what)
     if not files or (burst and len(files) > 1):
         raise DataError(f"{len(files)} recordings given: one with --burst, else one or more flat ones")
@@ -126,8 +170,6 @@ def calibrate(
 
 
 def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps:
-    import itertools
-
     import numpy as np
 
     from deepir import calibration
@@ -151,7 +193,6 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
 
 def _from_burst(file: str, settings: Sequence[str]) -> CorrectionMaps:
     from deepir.calibration import CorrectionMaps
-    from deepir.cli.terminal import watched_solve
     from deepir.config import load
     from deepir.runner import execute, prepare
 

@@ -1,4 +1,4 @@
-"""The commands `check` and `list`."""
+"""Commands that look and do not correct: `list`, `check` and `analyze`."""
 
 from __future__ import annotations
 
@@ -10,22 +10,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepir.cli.arguments import DATA_SETTINGS, Plugins, Settings, load_plugins
-from deepir.cli.terminal import echo
+from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.runs import output_folder
+from deepir.cli.terminal import echo, notify, watched_solve
+from deepir.errors import ConfigError, DataError, nearest
 
 if TYPE_CHECKING:
+    from deepir.analysis import BurstAssessment, PatternStatistics
     from deepir.config import Config
+    from deepir.result import Array
 
 STILL = "  motion: none"  # beginning of the line on frames in which no motion is seen
 MOTION_FRAMES = 8  # frames that are registered where no motion is seen
 MAX_FRAMES_OF_A_BURST = 30  # more are a recording
 REFUSAL = "a run refuses it"  # beginning of the line on frames that a run does not accept
+JUDGED = ("gain", "offset", "scene", "motion", "bad_pixels")  # arrays of a result
 
 
 def list_components(
     name: Annotated[
-        str | None,
-        typer.Argument(metavar="NAME", help="A kind, such as fields, or a part of a name."),
+        str | None, typer.Argument(metavar="NAME", help="A kind, such as fields, or a part of a name.")
     ] = None,
     plugin: Plugins = None,
 ) -> None:
@@ -53,8 +57,6 @@ def list_components(
 
 def _matching(groups: Mapping[str, Mapping[str, str]], name: str) -> Mapping[str, Mapping[str, str]]:
     """The group of a kind, or the entries of all groups whose names hold `name`; `ConfigError` for none."""
-    from deepir.errors import ConfigError, nearest
-
     kinds = {title.partition(" ")[0]: title for title in groups}
     if (kind := next((each for each in kinds if each in (name, f"{name}s", f"{name[:-1]}ies")), None)) is not None:
         return {kinds[kind]: groups[kinds[kind]]}
@@ -81,39 +83,36 @@ def check(
     """Describe a burst, or what a configuration would do, without a run: status 2 if a run refuses it."""
     load_plugins(plugin)
     from deepir.config import load, shipped_names
-    from deepir.errors import ConfigError
 
-    if what in shipped_names() or Path(what).suffix in (".yaml", ".yml"):
-        _configuration(what, settings or [])
-    elif Path(what).exists() or (not settings and ("*" in what or Path(what).suffix)):
-        if wrong := next((each for each in settings or () if not each.startswith("data.")), None):
-            raise ConfigError(f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}")
-        lines = _burst(load("nuc", [f"data.path={what}", *(settings or ())]))
-        for line in lines:
-            echo(line)
-        if lines[-1].startswith(REFUSAL):
-            return 2
-        if lines[1].startswith("  1 frame"):
-            echo(
-                f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
-                f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
-            )
-        else:
-            command = ["deepir", "run", "nuc", f"data.path={what}", *(settings or ())]
-            whole = all(each.startswith(DATA_SETTINGS) for each in settings or ())
-            if whole and int(lines[1].split()[0]) > MAX_FRAMES_OF_A_BURST:
-                command = ["deepir", "correct", what, *(settings or ())]
-            still = lines[-1].startswith(STILL)
-            echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
-    else:
-        return _configuration(what, settings or [])
+    given = settings or []
+    is_config = what in shipped_names() or Path(what).suffix in (".yaml", ".yml")
+    is_burst = Path(what).exists() or (not given and ("*" in what or Path(what).suffix))
+    if is_config or not is_burst:
+        return _configuration(what, given)
+    if wrong := next((each for each in given if not each.startswith("data.")), None):
+        raise ConfigError(f"{wrong}: settings go with a configuration: deepir check nuc data.path={what} {wrong}")
+    lines = _burst(load("nuc", [f"data.path={what}", *given]))
+    for line in lines:
+        echo(line)
+    if lines[-1].startswith(REFUSAL):
+        return 2
+    if lines[1].startswith("  1 frame"):
+        echo(
+            f"one frame: its pattern is found from a burst of a moving camera; maps that are known correct it: "
+            f"{shlex.join(['deepir', 'apply', 'MAPS', what])}"
+        )
+        return 0
+    command = ["deepir", "run", "nuc", f"data.path={what}", *given]
+    if all(each.startswith(DATA_SETTINGS) for each in given) and int(lines[1].split()[0]) > MAX_FRAMES_OF_A_BURST:
+        command = ["deepir", "correct", what, *given]
+    still = lines[-1].startswith(STILL)
+    echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
     return 0
 
 
 def _burst(config: Config) -> list[str]:
     import numpy as np
 
-    from deepir.errors import DataError
     from deepir.io import crop, describe, read_data, validate
     from deepir.io.inspection.checks import unusable_frames
     from deepir.io.radiometry import resolve_radiometry
@@ -141,7 +140,6 @@ def _registered_step(config: Config) -> float:
     import numpy as np
 
     from deepir.burst import load
-    from deepir.errors import DataError
     from deepir.pipeline.register import register_frames
     from deepir.pipeline.schedule import make_recipe
 
@@ -157,7 +155,6 @@ def _registered_step(config: Config) -> float:
 
 
 def _configuration(name: str, settings: list[str]) -> int:
-    from deepir.cli.commands.run import output_folder
     from deepir.config import load
     from deepir.pipeline.whole_recording import chosen
     from deepir.storage.folder import RunFolder
@@ -174,10 +171,8 @@ def _configuration(name: str, settings: list[str]) -> int:
     echo(f"  scene: prior {config.prior}, {_short(config.scene)}")
     for line in data:
         echo(line)
-    if state == "new":
-        echo(f"output folder: {folder.path} (new)")
-    else:
-        echo(f"output folder: {folder.path} already contains a run ({state}); use --overwrite")
+    there = f"already contains a run ({state}); use --overwrite"
+    echo(f"output folder: {folder.path} {'(new)' if state == 'new' else there}")
     return 2 if data[-1].startswith(REFUSAL) else 0
 
 
@@ -204,3 +199,100 @@ def _short(settings: Any) -> str:
     if isinstance(settings, dict):
         return ", ".join(f"{key} {_short(value)}" if key != "type" else str(value) for key, value in settings.items())
     return str(settings)
+
+
+def analyze(
+    what: Annotated[str, typer.Argument(metavar="FILE|RUN", help="A burst, or the folder of a run.")],
+    settings: Settings = None,
+    flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Report the jitter and the frames that a camera needs: deepir analyze burst.npz, or shutter.npz --flat.
+
+    A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
+    file's format.
+    """
+    from deepir.analysis.burst_assessment import report_lines
+    from deepir.paths import expanded
+    from deepir.report.panels import write_analysis
+
+    path = expanded(what)
+    if output is not None and output.suffix != ".png":
+        raise ConfigError(f"--output {output}: a picture's name ends in .png")
+    if output is not None and output.exists() and not overwrite:
+        raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
+    given, is_run = settings or [], (path / "result.npz").is_file()
+    picture = output or (path / "analysis.png" if is_run else Path("runs") / f"{path.stem}-analysis.png")
+    assessment = scene_deviation = None
+    if flat:
+        statistics = _of_flat(path, given)
+    else:
+        if is_run and given:
+            raise ConfigError(f"{path}: a finished run takes no settings")
+        arrays, scene_deviation = _of_run(path) if is_run else _of_burst(path, given)
+        statistics, assessment = _judged(**arrays)
+    for line in report_lines(statistics, assessment, scene_deviation):
+        echo(line)
+    try:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
+    write_analysis(picture, statistics, assessment, scene_deviation)
+    echo(f"picture: {picture}")
+
+
+def _of_flat(path: Path, settings: list[str]) -> PatternStatistics:
+    from deepir.analysis import flat_statistics
+    from deepir.burst import load
+
+    flat = load(recording_config(str(path), settings, ("data",)).data, needs=2)
+    return flat_statistics(flat.frames, flat.valid.all(0) & ~flat.bad_pixels)
+
+
+def _of_burst(path: Path, settings: list[str]) -> tuple[dict[str, Array], Array | None]:
+    """Arrays of the result of a burst, and the deviation of its scene."""
+    import deepir
+    from deepir.messages import labelled, shown
+
+    with watched_solve() as callbacks:
+        result = deepir.run("nuc", *settings, f"data.path={path}", output={}, callbacks=callbacks)
+    for line in shown(labelled(result.messages), f"the report of `deepir run nuc data.path={path}`"):
+        notify(line)
+    return {name: getattr(result, name) for name in JUDGED}, result.uncertainty.get("scene")
+
+
+def _of_run(path: Path) -> tuple[dict[str, Array], Array | None]:
+    """The same of a run in a folder."""
+    import numpy as np
+
+    with np.load(path / "result.npz") as stored:
+        found = {name: stored[name] for name in JUDGED}
+    if found["gain"].ndim > 2:
+        raise DataError(f"{path}: a result of {len(found['gain'])} bands; analyse a run of one of them, frames[:, 0]")
+    beside, scene_deviation = path / "uncertainty.npz", None
+    if beside.exists():
+        with np.load(beside) as stored:
+            # With a scene for each frame there is no single map.
+            scene_deviation = stored["scene"] if stored["scene"].ndim == 2 else None
+    return found, scene_deviation
+
+
+def _judged(
+    gain: Array, offset: Array, scene: Array, motion: Array, bad_pixels: Array
+) -> tuple[PatternStatistics, BurstAssessment | None]:
+    """Statistics of the pattern of a result at the mean flux, and the assessment of its burst."""
+    import numpy as np
+
+    from deepir.analysis import assess_burst, map_statistics
+
+    pattern = (gain - 1.0) * scene.mean(dtype=np.float64) + offset
+    statistics = map_statistics(pattern, ~bad_pixels)
+    finer = scene.shape[-2] / len(gain)  # px of the scene in one of the detector
+    coarser = np.diag([1 / finer, 1 / finer, 1])
+    seen = motion[np.isfinite(motion).all((1, 2))]
+    if len(seen) < 2 or scene.ndim > 2:  # no motion across the pattern
+        return statistics, None
+    return statistics, assess_burst(statistics, coarser @ seen @ np.linalg.inv(coarser), round(finer))

@@ -1,1 +1,0 @@
-"""The sub-commands of `deepir`, one a module."""
