@@ -17,16 +17,22 @@ from deepir.errors import ConfigError, DataError
 from deepir.io import crop, fit_truth, read_data, read_mask, read_truth, validate
 from deepir.io.frames import is_banded, select_frames, selected_in_float32, unselected_pairs
 from deepir.io.frames import to_stack as stacked
-from deepir.io.inspection.axes import oriented
-from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
+from deepir.io.inspection.checks import (
+    telemetry_message,
+    telemetry_rows,
+    torn_frames,
+    torn_message,
+    unrecorded_samples,
+    unusable_frames,
+)
 from deepir.io.inspection.samples import (
     clipped_samples,
     drawn_message,
     drawn_pixels,
     is_contrast_stretched,
+    oriented,
     saturated_samples,
 )
-from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.messages import Message
 

@@ -37,7 +37,7 @@ def correct_file(
 
     from deepir.correct_recording import sensor_of_burst
     from deepir.io import atomic_files, stream_data
-    from deepir.io.output.recording import open_writer, output_type, write_frames
+    from deepir.io.output import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
     from deepir.recording.correct import CorrectedRecording, findings_lines
     from deepir.report.panels import write_correction

@@ -18,9 +18,18 @@ from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import readers
 from deepir.io.guards import judging_colours_in, masked, warn_once
-from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.checks import crop
-from deepir.io.inspection.samples import SAMPLED_FRAMES, in_order, lost_samples, swapped, wrapped_type
+from deepir.io.inspection.samples import (
+    BLOCK_SIDE,
+    SAMPLED_FRAMES,
+    USUAL,
+    in_order,
+    lost_samples,
+    oriented,
+    swapped,
+    turned_axes,
+    wrapped_type,
+)
 from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.raw import Headerless
 from deepir.io.readers.folder import burst_files
@@ -184,19 +193,18 @@ def read_frames(
     Raises:
         DataError: It cannot be read, or holds no burst of numbers.
     """
-    file = expanded(path)
-    reader = _reader(file, raw)
+    recording = _opened(path, key, raw)
+    file, source = recording.path, recording.source
     with judging_colours_in(grey_within):
-        stored = readers.read(file, key, reader)
-    source = f"{file}[{key}]" if key else str(file)
+        stored = recording.read()
     if bands and is_banded(stored):
         selected = as_float32(select_frames(stored, select, source))
         return Frames(selected, source, stored.dtype.name, digest(file))
     stored = to_stack(stored, str(file))
     dtype = stored.dtype
-    stored = oriented(stored, axes or (None if reader.any_axes else USUAL), source)
+    stored = oriented(stored, axes or (None if recording.reader.any_axes else USUAL), source)
     (stored,) = _unwrapped([in_order(stored, swap_bytes, source, advice=_RAW_ORDER if raw else "")], source)
-    laws = readers.radiometries(file, key, reader)
+    laws = recording.radiometries()
     if len(laws) > 1:
         stored = np.ma.stack([*as_of_frame_0(stored, laws, radiometry, source)])
     frames = selected_in_float32(stored, select, source)
@@ -216,7 +224,7 @@ def read_array(path: str | os.PathLike[str], *, key: str | None = None) -> Array
         DataError: It cannot be read, or holds no numbers.
     """
     file = expanded(path)
-    stored = readers.read(file, key)
+    stored = readers.opened(file, key).read()
     if stored.dtype.kind not in "fiub":
         raise DataError(f"{file}: values of type {stored.dtype.name}; real numbers are needed")
     return as_float32(stored)
@@ -238,18 +246,17 @@ def stream_frames(
     Raises:
         DataError: As `read_frames`.
     """
-    file = expanded(path)
-    source = f"{file}[{key}]" if key else str(file)
-    reader = _reader(file, raw)
-    first = _first_frames(_stream(file, key, reader), BLOCK_SIDE if reader.any_axes else SAMPLED_FRAMES)
-    if axes not in (None, USUAL) or (axes is None and reader.any_axes and turned_axes(first) is not None):
-        first = oriented(to_stack(readers.read(file, key, reader), str(file)), axes, source)
+    recording = _opened(path, key, raw)
+    source, any_axes = recording.source, recording.reader.any_axes
+    first = _first_frames(_stream(recording), BLOCK_SIDE if any_axes else SAMPLED_FRAMES)
+    if axes not in (None, USUAL) or (axes is None and any_axes and turned_axes(first) is not None):
+        first = oriented(to_stack(recording.read(), str(recording.path)), axes, source)
         frames = iter(first)
     else:
-        frames = _stream(file, key, reader)
+        frames = _stream(recording)
     in_order(first, swap_bytes, source, advice=_RAW_ORDER if raw else "")
     frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
-    laws = readers.radiometries(file, key, reader)
+    laws = recording.radiometries()
     if len(laws) > 1:
         frames = as_of_frame_0(frames, laws, radiometry, source)
     for frame in frames:
@@ -299,15 +306,16 @@ def _layout(data: schema.Data) -> dict[str, Any]:
     return {name: getattr(data, name) for name in ("key", "raw", "axes", "swap_bytes", "radiometry")}
 
 
-def _reader(file: Path, raw: Raw | None) -> readers.Reader:
-    """The reader of a file with or without a header."""
-    return readers.known_reader(file) if raw is None else Headerless(raw)
+def _opened(path: str | os.PathLike[str], key: str | None, raw: Raw | None) -> readers.Recording:
+    """A recording with or without a header."""
+    file = expanded(path)
+    return readers.opened(file, key) if raw is None else readers.Recording(file, Headerless(raw), key)
 
 
-def _stream(file: Path, key: str | None, reader: readers.Reader) -> Iterator[Array]:
+def _stream(recording: readers.Recording) -> Iterator[Array]:
     """Frame after frame (h, w) as stored."""
-    for piece in readers.stream(file, key, reader):
-        yield from to_stack(piece, str(file))
+    for piece in recording.stream():
+        yield from to_stack(piece, str(recording.path))
 
 
 def _first_frames(frames: Iterable[Array], count: int) -> Array:

@@ -91,7 +91,7 @@ def test_what_cannot_be_written_leaves_the_former_result(deepir, folder, walk, e
 def test_of_an_interrupted_correction_the_maps_are_kept_unless_there_were_others(
     deepir, folder, walk, estimated, monkeypatch
 ):
-    monkeypatch.setattr("deepir.io.output.recording.write_frames", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr("deepir.io.output.write_frames", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     status, _, err = deepir("correct", "walk.npz")
     assert status == 130
     assert "go on with: deepir apply walk_corrected_maps.npz walk.npz" in err

@@ -6,14 +6,13 @@ import recordings
 import tifffile
 
 from deepir.errors import DataError
-from deepir.io import read_frames
-from deepir.io.output import recording
+from deepir.io import output, read_frames
 from deepir.io.radiometry import Linear, unit_metadata
 
 
 @pytest.mark.parametrize("dtype", [np.uint16, np.float32])
 def test_a_tiff_of_many_pages_says_what_its_values_are(tmp_path, burst, dtype):
-    with recording.tiff(tmp_path / "a.tif", np.dtype(dtype), unit_metadata(Linear(0.04))) as write:
+    with output.tiff(tmp_path / "a.tif", np.dtype(dtype), unit_metadata(Linear(0.04))) as write:
         for frame in burst:
             write(frame.astype(np.float32))
     read = read_frames(tmp_path / "a.tif")
@@ -25,19 +24,19 @@ def test_a_tiff_of_many_pages_says_what_its_values_are(tmp_path, burst, dtype):
 
 def test_whole_numbers_are_rounded_and_cut():
     values = np.array([-3.0, 1.5, 2.5, 7.6, 1e6, np.nan], np.float32)
-    assert recording.cast(values, np.dtype(np.uint16)).tolist() == [0, 2, 2, 8, 65535, 0]
-    assert recording.cast(values, np.dtype(np.float32)) is values
+    assert output.cast(values, np.dtype(np.uint16)).tolist() == [0, 2, 2, 8, 65535, 0]
+    assert output.cast(values, np.dtype(np.float32)) is values
 
 
 def test_a_recording_keeps_its_type_where_that_can_hold_it():
-    assert recording.output_type(np.dtype(">u2"), rounded=True) == np.uint16
+    assert output.output_type(np.dtype(">u2"), rounded=True) == np.uint16
     for dtype, rounded in (("u2", False), ("i4", True), ("f8", True)):
-        assert recording.output_type(np.dtype(dtype), rounded=rounded) == np.float32
+        assert output.output_type(np.dtype(dtype), rounded=rounded) == np.float32
 
 
 def test_a_broken_off_recording_leaves_nothing(tmp_path, burst):
     def broken():
-        with recording.tiff(tmp_path / "a.tif", np.dtype(np.uint16), {}) as write:
+        with output.tiff(tmp_path / "a.tif", np.dtype(np.uint16), {}) as write:
             write(burst[0])
             raise KeyboardInterrupt
 
@@ -50,7 +49,7 @@ def test_a_broken_off_recording_leaves_nothing(tmp_path, burst):
 def test_a_film_can_be_looked_at(tmp_path, tones):
     pytest.importorskip("av")
     ramp = np.tile(np.linspace(7000, 9000, 65), (3, 49, 1)).astype(np.float32)
-    with recording.mp4(tmp_path / "a.mp4", "white-hot", tones) as write:
+    with output.mp4(tmp_path / "a.mp4", "white-hot", tones) as write:
         for frame in ramp:
             write(frame)
     shown = read_frames(tmp_path / "a.mp4").frames
@@ -60,7 +59,7 @@ def test_a_film_can_be_looked_at(tmp_path, tones):
 
 def test_a_palette_is_seen_in_a_film(tmp_path):
     pytest.importorskip("av")
-    with recording.mp4(tmp_path / "a.mp4", "ironbow", "percentile") as write:
+    with output.mp4(tmp_path / "a.mp4", "ironbow", "percentile") as write:
         write(np.tile(np.linspace(0, 1, 64), (48, 1)))
     with pytest.raises(DataError, match="carries no radiometry"):
         read_frames(tmp_path / "a.mp4")
@@ -79,4 +78,4 @@ def test_a_grey_film_that_a_codec_has_tinted_slightly_is_read(tmp_path):
 
 def test_another_name_is_answered_with_those_there_are(tmp_path):
     with pytest.raises(DataError, match=r"a\.avi: a recording is written as \.tif .* or \.mp4"):
-        recording.open_writer(tmp_path / "a.avi", np.dtype(np.uint16), {}, "white-hot", "percentile")
+        output.open_writer(tmp_path / "a.avi", np.dtype(np.uint16), {}, "white-hot", "percentile")

@@ -5,8 +5,8 @@ import pytest
 
 import deepir
 from deepir.io.frames import Frames
+from deepir.io.inspection.checks import telemetry_rows
 from deepir.io.inspection.describe import describe
-from deepir.io.inspection.telemetry import telemetry_rows
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural, sky

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepir.config.schema import Output
-from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS, apply_palette, colour_table
+from deepir.io.tone_mapping import PALETTES, TONE_MAPPINGS, apply_palette, colour_table
 
 
 @pytest.fixture

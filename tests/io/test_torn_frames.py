@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from deepir.io.inspection.checks import torn_frames, torn_message
 from deepir.io.inspection.samples import drawn_message, drawn_pixels
-from deepir.io.inspection.telemetry import torn_frames, torn_message
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural, sky
 

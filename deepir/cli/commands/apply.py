@@ -72,7 +72,7 @@ def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool)
     import itertools
 
     from deepir.io import stream_data
-    from deepir.io.output.recording import open_writer, output_type, write_frames
+    from deepir.io.output import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
 
     data, shown = config.data, config.output

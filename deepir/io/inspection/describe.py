@@ -7,9 +7,16 @@ from typing import Any
 import numpy as np
 
 from deepir.io.frames import Frames
-from deepir.io.inspection.checks import has_neighbours, unrecorded_samples, unusable_frames
+from deepir.io.inspection.checks import (
+    has_neighbours,
+    telemetry_message,
+    telemetry_rows,
+    torn_frames,
+    torn_message,
+    unrecorded_samples,
+    unusable_frames,
+)
 from deepir.io.inspection.samples import FULL_SCALE_COUNTS, drawn_message, drawn_pixels
-from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import ZERO_CELSIUS
 
 Array = np.ndarray[Any, np.dtype[np.float32]]

@@ -15,8 +15,7 @@ import imagecodecs
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.file_bytes import FileBytes
-from deepir.io.guards import check_size, warn_once
+from deepir.io.guards import FileBytes, check_size, warn_once
 from deepir.io.radiometry import Planck, Radiometry, air_transmission
 from deepir.io.readers import Array, Reader, jpeg
 from deepir.io.readers.pictures import decode_png

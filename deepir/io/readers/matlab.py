@@ -11,8 +11,7 @@ import numpy as np
 import scipy.io
 
 from deepir.errors import DataError
-from deepir.io.file_bytes import FileBytes
-from deepir.io.guards import check_size
+from deepir.io.guards import FileBytes, check_size
 from deepir.io.readers import Array, Reader, can_be_frames, choose_array
 
 MATLAB_5 = b"MATLAB 5.0 MAT-file"

@@ -15,8 +15,7 @@ import tifffile
 
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
-from deepir.io.file_bytes import FileBytes, stream_planes
-from deepir.io.guards import check_size, masked, to_grey
+from deepir.io.guards import FileBytes, check_size, masked, stream_planes, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array, Reader
 
