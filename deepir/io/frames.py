@@ -7,7 +7,6 @@ import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -355,7 +354,10 @@ def digest(path: str | os.PathLike[str]) -> str:
     """
     file = expanded(path)
     with readers.decoding(file):
-        return _sha256(file)
+        if file.is_dir() or readers.is_glob(file):
+            return hashlib.sha256("".join(map(digest, burst_files(file))).encode()).hexdigest()
+        with readers.samples_file(file).open("rb") as samples:
+            return hashlib.file_digest(samples, "sha256").hexdigest()
 
 
 def is_banded(array: Array) -> bool:
@@ -389,11 +391,3 @@ def to_stack(array: Array, source: str) -> Array:
     if array.ndim != 3 or 0 in shape:
         raise DataError(f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)")
     return array
-
-
-def _sha256(path: Path) -> str:
-    if path.is_dir() or readers.is_glob(path):
-        digests = "".join(_sha256(file) for file in burst_files(path))
-        return hashlib.sha256(digests.encode()).hexdigest()
-    with readers.samples_file(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

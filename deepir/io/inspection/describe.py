@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.io.frames import Frames
 from deepir.io.inspection.checks import (
     has_neighbours,
@@ -147,7 +148,7 @@ def temporal_noise(frames: Array) -> float:
         d = second - first
         detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
     detail = np.abs(detail[np.isfinite(detail)])
-    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+    return float(MAD_TO_SIGMA * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:

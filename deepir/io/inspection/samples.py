@@ -9,7 +9,7 @@ from scipy.ndimage import convolve
 
 from deepir.arrays.samples import as_float32
 from deepir.errors import DataError
-from deepir.io.inspection.checks import MIN_FRAME_SIDE
+from deepir.io.inspection.checks import MIN_FRAME_SIDE, Mask
 from deepir.messages import Message
 
 Array = np.ndarray[Any, np.dtype[Any]]
@@ -19,12 +19,9 @@ TURNED = ("hwn", "wnh")  # frames counted along the last axis, and an array (N, 
 MAX_ASPECT = 4.0  # of a frame's sides, above which another reading is looked for
 USUAL_ASPECT = 2.0  # of the sides in that reading, at most
 #: Heights and widths of thermal detectors, px.
-DETECTORS = {(60, 80), (120, 160), (156, 208), (192, 256), (240, 320), (256, 320), (256, 336), (288, 382)} | {
-    (288, 384),
-    (480, 640),
-    (512, 640),
-    (768, 1024),
-    (1024, 1280),
+DETECTORS = {
+    *((60, 80), (120, 160), (156, 208), (192, 256), (240, 320), (256, 320), (256, 336), (288, 382), (288, 384)),
+    *((480, 640), (512, 640), (768, 1024), (1024, 1280)),
 }
 BLOCK_SIDE = 96  # samples along an axis that are compared
 LAGS = (1, 8)  # samples between those that are compared
@@ -34,6 +31,32 @@ MAX_OTHER_PERSISTENCE = 0.5  # correlation at the longer lag along the first axi
 MAX_DIFFERENCE = 0.3  # of the correlations at the shorter lag along both axes of a frame
 MIN_TEXTURE = 0.5  # correlation at the shorter lag along both axes of frames of a scene without a fixed pattern
 MAX_MOVING_TEXTURE = 0.1  # the same along the axis of the frames, where that scene jumps
+MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which its samples are kept
+MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
+MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
+MIN_PIXELS = 20  # fewer are defective ones
+COMMON_VALUES, MIN_COMMON_SHARE = 3, 0.6  # shades of what is drawn, and share of its pixels that have them
+#: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
+FILL_VALUES = (
+    *(-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -10000.0, -32768.0, -32767.0, -2147483648.0),
+    *(-3.4028234663852886e38, 3.4028234663852886e38, 1e20, -1e20, 9.969209968386869e36, -1e30, 1e30, -1e31),
+)
+UNSIGNED_FILL = 65535.0  # of 16-bit counts
+MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
+SAMPLES = 100_000  # that the range of the others is measured of
+FULL_SCALE_COUNTS = tuple(2**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest ones of common converters
+CHANCE_COUNT = 20  # samples that may share an end of the range by chance
+PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
+NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
+SAMPLED_FRAMES = 4  # frames that are inspected
+SAMPLED_SIDE = 512  # rows and columns of them
+MIN_HIGH_BYTES = 32  # values of the high byte from which it varies like a low byte
+MIN_BYTES_RATIO = 2.0  # values of the high byte over those of the low byte in samples of swapped bytes
+MAX_ROUGHNESS_RATIO = 1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
+MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
+MAX_EXTENT, MAX_LIKELY_EXTENT = 22.0, 20.0  # powers of two of samples whose bytes are swapped, and are not
+SIGNED_GAP = 8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
+MAX_IN_GAP = 0.01  # share of the samples that may lie in it all the same
 
 
 def oriented(frames: Array, axes: str | None, source: str) -> Array:
@@ -102,154 +125,6 @@ def _correlations(block: Array, axis: int) -> list[float]:
     return [float((detail[:-lag] * detail[lag:]).mean()) / power if power else 0.0 for lag in LAGS]
 
 
-MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which its samples are kept
-MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
-MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
-MIN_PIXELS = 20  # fewer are defective ones
-COMMON_VALUES, MIN_COMMON_SHARE = 3, 0.6  # shades of what is drawn, and share of its pixels that have them
-#: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
-FILL_VALUES = (
-    *(-9999.0, 9999.0, -99999.0, 99999.0, -999.0, -10000.0, -32768.0, -32767.0, -2147483648.0),
-    *(-3.4028234663852886e38, 3.4028234663852886e38, 1e20, -1e20, 9.969209968386869e36, -1e30, 1e30, -1e31),
-)
-UNSIGNED_FILL = 65535.0  # of 16-bit counts
-MIN_ZERO_GAP = 0.25  # of the range of the others, between which and a zero among floats no sample lies
-SAMPLES = 100_000  # that the range of the others is measured of
-FULL_SCALE_COUNTS = tuple(2**bits - 1 for bits in (8, 10, 12, 14, 15, 16))  # largest ones of common converters
-CHANCE_COUNT = 20  # samples that may share an end of the range by chance
-PILE_UP_RATIO = 4.0  # samples at an end of the range over those at a neighbouring value
-NEIGHBOUR_VALUES = 5  # neighbouring values that are compared
-SAMPLED_FRAMES = 4  # frames that are inspected
-SAMPLED_SIDE = 512  # rows and columns of them
-MIN_HIGH_BYTES = 32  # values of the high byte from which it varies like a low byte
-MIN_BYTES_RATIO = 2.0  # values of the high byte over those of the low byte in samples of swapped bytes
-MAX_ROUGHNESS_RATIO = 1.25  # roughness with the bytes swapped over that as stored, where bytes alone speak for it
-MIN_ROUGHNESS_RATIO = 3.0  # roughness as stored over that with the bytes swapped, which alone is enough
-MAX_EXTENT, MAX_LIKELY_EXTENT = (
-    22.0,
-    20.0,
-)  # powers of two of samples whose bytes are swapped, and are not
-SIGNED_GAP = 8192  # counts on both sides of zero that hold no sample where counts above 32767 have become negative
-MAX_IN_GAP = 0.01  # share of the samples that may lie in it all the same
-
-
-def is_contrast_stretched(frames: Array) -> bool:
-    """True if frames may have individual contrasts: 8 bits, or all of one range.
-
-    An automatic gain control gives such frames, and so does normalisation of each frame to [0, 1]. Pixels at an end of
-    the range in all frames are dead and are ignored.
-
-    Args:
-        frames: (N, h, w), NaN where unknown.
-    """
-    if has_eight_bits(frames):
-        return True
-    ends = [frames == end for end in (np.nanmin(frames), np.nanmax(frames))]
-    return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
-
-
-def has_eight_bits(frames: Array) -> bool:
-    """True if frames (N, h, w), NaN where unknown, hold nothing but integers from 0 to 255."""
-    low, high = np.nanmin(frames), np.nanmax(frames)
-    return bool(low >= 0 and 1 < high <= 255) and np.array_equal(frames, np.rint(frames), equal_nan=True)
-
-
-def clipped_samples(frames: Array) -> Array:
-    """Samples of frames (N, h, w), bool, at an end of the range; none of frames that mostly are."""
-    cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
-    return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MAX_CLIPPED_SHARE))
-
-
-def drawn_pixels(frames: Array) -> np.ndarray[Any, np.dtype[np.bool_]]:
-    """Such pixels (h, w) of frames (N, h, w), bool, side by side; none of frames that are all alike."""
-    same = (frames == frames[:1]).all(0)
-    if len(frames) < 2 or same.mean() > MAX_SHARE:
-        return np.zeros_like(same)
-    around = convolve(same.astype(np.int8), np.ones((3, 3), np.int8), mode="constant") - same
-    drawn: np.ndarray[Any, np.dtype[np.bool_]] = same & (around >= MIN_NEIGHBOURS)
-    shades = np.sort(np.unique(frames[0][drawn], return_counts=True)[1])
-    is_drawn = drawn.sum() >= MIN_PIXELS and shades[-COMMON_VALUES:].sum() >= MIN_COMMON_SHARE * drawn.sum()
-    return drawn if is_drawn else np.zeros_like(same)
-
-
-def drawn_message(drawn: np.ndarray[Any, np.dtype[np.bool_]]) -> list[str]:
-    """A warning on such pixels (h, w); [] if there are none."""
-    if not drawn.any():
-        return []
-    y, x = drawn.nonzero()
-    return [
-        Message(
-            "drawn-pixels",
-            f"{len(y)} pixel(s) between rows {y.min()} and {y.max()}, columns {x.min()} and {x.max()} hold one value "
-            "in all frames: text or marks that are drawn over the picture, or cut off at an end of the range. "
-            "data.mask, or data.crop, leaves them out",
-        )
-    ]
-
-
-Frames = np.ndarray[Any, np.dtype[np.float32]]
-
-
-def lost_samples(frames: Frames, stored: np.dtype[Any]) -> np.ndarray[Any, np.dtype[np.bool_]] | None:
-    """Samples that hold a fill value, further away from all others than their range.
-
-    Args:
-        frames: (N, h, w), float32.
-        stored: Type that they were stored in: unsigned counts have no fill value but the largest of 16 bits.
-
-    Returns:
-        (N, h, w) bool; None if there are none.
-    """
-    if stored.kind == "u" and stored.itemsize != 2:
-        return None
-    values = (UNSIGNED_FILL,) if stored.kind == "u" else FILL_VALUES
-    if stored.kind == "f":
-        values = (*values, 0.0)
-    found = None
-    least, largest = np.fmin.reduce(frames, axis=None), np.fmax.reduce(frames, axis=None)
-    for value in (each for each in values if least <= np.float32(each) <= largest):
-        if not (lost := frames == np.float32(value)).any() or lost.all():
-            continue
-        others = frames[~lost]
-        others = others[:: max(1, len(others) // SAMPLES)]
-        others = others[np.isfinite(others) & ~np.isin(others, np.array(values, np.float32))]
-        if not len(others):
-            continue
-        low, high = float(others.min()), float(others.max())
-        gap = MIN_ZERO_GAP if value == 0 else 1.0
-        if max(low - value, value - high) > gap * (high - low):
-            found = lost if found is None else found | lost
-    return found
-
-
-def saturated_samples(frames: Array) -> Array | None:
-    """Samples that are cut off at an end of the range.
-
-    Integers cannot exceed the largest value of a converter. A cut-off end of the range holds many more samples than any
-    neighbouring value. Pixels at the end in all frames are ignored: they may be dead.
-
-    Args:
-        frames: (N, h, w), NaN where unknown.
-
-    Returns:
-        (N, h, w), int8: 1 at the top, -1 at the bottom, else 0; None if nothing is cut off.
-    """
-    found = np.zeros(frames.shape, np.int8)
-    for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
-        there = frames == end
-        passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
-        limit = end in FULL_SCALE_COUNTS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
-        if (passing and limit) or (passing >= CHANCE_COUNT and _piled_up(sign * frames, passing)):
-            found[there] = sign
-    return found if found.any() else None
-
-
-def _piled_up(frames: Array, count: int) -> bool:
-    """True if `count` is far above the number of samples at any value next to the largest."""
-    _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
-    return len(counts) > 1 and count > PILE_UP_RATIO * counts[-NEIGHBOUR_VALUES - 1 : -1].max()
-
-
 def in_order(frames: Array, swap: bool | None, source: str, *, advice: str = "") -> Array:
     """Frames (N, h, w) with the bytes of each sample in the right order.
 
@@ -316,15 +191,15 @@ def wrapped_type(frames: Array) -> type[np.generic] | None:
         above = signed >= 0
         below = (signed < -1) & (signed > -SIGNED_GAP)  # 65535 is a fill value
         ends = (some < SIGNED_GAP) & above
-        if not ends.any() or _steps(some) < MIN_ROUGHNESS_RATIO * _steps(signed):
+        if not ends.any() or mean_step(some) < MIN_ROUGHNESS_RATIO * mean_step(signed):
             return None
         found = np.int16
     whole = above.any() and below.any() and 1 - (above | below).mean() < MAX_IN_GAP
     return found if whole else None
 
 
-def _steps(samples: Array) -> float:
-    """Mean step along the rows of samples (N, h, w)."""
+def mean_step(samples: Array) -> float:
+    """Mean step along the rows of samples (..., h, w)."""
     return float(np.abs(np.diff(samples.astype(np.float32))).mean()) if samples.shape[-1] > 1 else 0.0
 
 
@@ -349,3 +224,117 @@ def _roughness(frames: Array) -> float:
     axes = [axis for axis in (-1, -2) if values.shape[axis] > 1]
     steps = min((float(np.abs(np.diff(values, axis=axis)).mean()) for axis in axes), default=0.0)
     return steps / spread if spread else 0.0
+
+
+def is_contrast_stretched(frames: Array) -> bool:
+    """True if frames may have individual contrasts: 8 bits, or all of one range.
+
+    An automatic gain control gives such frames, and so does normalisation of each frame to [0, 1]. Pixels at an end of
+    the range in all frames are dead and are ignored.
+
+    Args:
+        frames: (N, h, w), NaN where unknown.
+    """
+    if has_eight_bits(frames):
+        return True
+    ends = [frames == end for end in (np.nanmin(frames), np.nanmax(frames))]
+    return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
+
+
+def has_eight_bits(frames: Array) -> bool:
+    """True if frames (N, h, w), NaN where unknown, hold nothing but integers from 0 to 255."""
+    low, high = np.nanmin(frames), np.nanmax(frames)
+    return bool(low >= 0 and 1 < high <= 255) and np.array_equal(frames, np.rint(frames), equal_nan=True)
+
+
+def clipped_samples(frames: Array) -> Array:
+    """Samples of frames (N, h, w), bool, at an end of the range; none of frames that mostly are."""
+    cut = (frames == np.nanmin(frames)) | (frames == np.nanmax(frames))
+    return np.asarray(cut & (cut.mean((1, 2), keepdims=True) < MAX_CLIPPED_SHARE))
+
+
+def drawn_pixels(frames: Array) -> Mask:
+    """Such pixels (h, w) of frames (N, h, w), bool, side by side; none of frames that are all alike."""
+    same = (frames == frames[:1]).all(0)
+    if len(frames) < 2 or same.mean() > MAX_SHARE:
+        return np.zeros_like(same)
+    around = convolve(same.astype(np.int8), np.ones((3, 3), np.int8), mode="constant") - same
+    drawn: Mask = same & (around >= MIN_NEIGHBOURS)
+    shades = np.sort(np.unique(frames[0][drawn], return_counts=True)[1])
+    is_drawn = drawn.sum() >= MIN_PIXELS and shades[-COMMON_VALUES:].sum() >= MIN_COMMON_SHARE * drawn.sum()
+    return drawn if is_drawn else np.zeros_like(same)
+
+
+def drawn_message(drawn: Mask) -> list[str]:
+    """A warning on such pixels (h, w); [] if there are none."""
+    if not drawn.any():
+        return []
+    y, x = drawn.nonzero()
+    return [
+        Message(
+            "drawn-pixels",
+            f"{len(y)} pixel(s) between rows {y.min()} and {y.max()}, columns {x.min()} and {x.max()} hold one value "
+            "in all frames: text or marks that are drawn over the picture, or cut off at an end of the range. "
+            "data.mask, or data.crop, leaves them out",
+        )
+    ]
+
+
+def lost_samples(frames: Array, stored: np.dtype[Any]) -> Mask | None:
+    """Samples that hold a fill value, further away from all others than their range.
+
+    Args:
+        frames: (N, h, w), float32.
+        stored: Type that they were stored in: unsigned counts have no fill value but the largest of 16 bits.
+
+    Returns:
+        (N, h, w) bool; None if there are none.
+    """
+    if stored.kind == "u" and stored.itemsize != 2:
+        return None
+    values = (UNSIGNED_FILL,) if stored.kind == "u" else FILL_VALUES
+    if stored.kind == "f":
+        values = (*values, 0.0)
+    found = None
+    least, largest = np.fmin.reduce(frames, axis=None), np.fmax.reduce(frames, axis=None)
+    for value in (each for each in values if least <= np.float32(each) <= largest):
+        if not (lost := frames == np.float32(value)).any() or lost.all():
+            continue
+        others = frames[~lost]
+        others = others[:: max(1, len(others) // SAMPLES)]
+        others = others[np.isfinite(others) & ~np.isin(others, np.array(values, np.float32))]
+        if not len(others):
+            continue
+        low, high = float(others.min()), float(others.max())
+        gap = MIN_ZERO_GAP if value == 0 else 1.0
+        if max(low - value, value - high) > gap * (high - low):
+            found = lost if found is None else found | lost
+    return found
+
+
+def saturated_samples(frames: Array) -> Array | None:
+    """Samples that are cut off at an end of the range.
+
+    Integers cannot exceed the largest value of a converter. A cut-off end of the range holds many more samples than any
+    neighbouring value. Pixels at the end in all frames are ignored: they may be dead.
+
+    Args:
+        frames: (N, h, w), NaN where unknown.
+
+    Returns:
+        (N, h, w), int8: 1 at the top, -1 at the bottom, else 0; None if nothing is cut off.
+    """
+    found = np.zeros(frames.shape, np.int8)
+    for sign, end in ((1, np.nanmax(frames)), (-1, np.nanmin(frames))):
+        there = frames == end
+        passing = int((there & ~(there | np.isnan(frames)).all(0)).sum())
+        limit = end in FULL_SCALE_COUNTS and sign > 0 and np.array_equal(frames, np.rint(frames), equal_nan=True)
+        if (passing and limit) or (passing >= CHANCE_COUNT and _piled_up(sign * frames, passing)):
+            found[there] = sign
+    return found if found.any() else None
+
+
+def _piled_up(frames: Array, count: int) -> bool:
+    """True if `count` is far above the number of samples at any value next to the largest."""
+    _, counts = np.unique(frames[np.isfinite(frames)], return_counts=True)
+    return len(counts) > 1 and count > PILE_UP_RATIO * counts[-NEIGHBOUR_VALUES - 1 : -1].max()

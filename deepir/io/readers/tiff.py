@@ -73,13 +73,7 @@ class Tiff(Reader):
                 if description.get("unit") == "K":
                     return KELVIN
                 return resolve_radiometry(None, schema.Radiometry(**description["radiometry"]))
-            except (
-                ValueError,
-                TypeError,
-                KeyError,
-                AttributeError,
-                ConfigError,
-            ):  # anybody else's description
+            except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
                 return None
 
 
