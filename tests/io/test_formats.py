@@ -24,6 +24,7 @@ def layout(**given):
 @pytest.mark.parametrize("kind", sorted(recordings.FILES.keys() - {"picture, jpeg"}))
 def test_every_format_gives_its_frames_exactly_whatever_the_name(tmp_path, burst, kind):
     path = recordings.written(tmp_path, kind, burst)
+    assert readers.find_reader(path).name == kind.partition(",")[0]
     read = read_frames(path)
     stored = np.uint8 if kind == "picture, bmp" else np.uint16
     assert (read.frames.dtype, read.dtype, read.source) == (np.float32, np.dtype(stored).name, str(path))
