@@ -13,6 +13,8 @@ import scipy.io
 import tifffile
 from PIL import Image
 
+from deepir.io import read_frames, stream_frames
+
 
 def npz(path, frames):
     np.savez_compressed(path, frames=frames)
@@ -266,6 +268,14 @@ def needs(library, *values):
     """A parameter of a test that is left out where `library` is not installed."""
     missing = importlib.util.find_spec(library) is None
     return pytest.param(*values, marks=pytest.mark.skipif(missing, reason=f"{library} is not installed"))
+
+
+def assert_read(path, frames, **options):
+    """A file gives these frames, whole and frame by frame; returns what is read of it."""
+    read = read_frames(path, **options)
+    np.testing.assert_array_equal(read.frames, frames)
+    np.testing.assert_array_equal(list(stream_frames(path, **options)), frames)
+    return read
 
 
 def small_picture(kind):

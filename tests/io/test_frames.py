@@ -9,7 +9,7 @@ import recordings
 from PIL import Image
 
 from deepir.errors import DataError
-from deepir.io import read_frames, stream_frames
+from deepir.io import read_frames
 from deepir.io.readers.folder import in_order
 
 
@@ -25,8 +25,7 @@ def test_folders_are_in_natural_order_and_leave_out_what_is_no_picture(tmp_path,
     (tmp_path / "f" / "notes.txt").write_text("outside, windy")
     (tmp_path / "f" / ".hidden.png").write_bytes(b"no picture")
     (tmp_path / "f" / "Thumbs.db").touch()
-    np.testing.assert_array_equal(read_frames(tmp_path / "f").frames, burst)
-    np.testing.assert_array_equal(list(stream_frames(tmp_path / "f")), burst)
+    recordings.assert_read(tmp_path / "f", burst)
 
 
 @pytest.mark.parametrize(
