@@ -96,7 +96,7 @@ def write_tiff(path: PathLike, frames: np.ndarray[Any, Any], metadata: Mapping[s
 
 
 def save_tiff(file: Path | IO[bytes], frames: np.ndarray[Any, Any], metadata: Mapping[str, Any]) -> None:
-    """The same into an open file."""
+    """Write (h, w) or (N, h, w) as float32 TIFF to a name or into an open file, `metadata` in its ImageDescription."""
     import tifffile
 
     tifffile.imwrite(

@@ -32,9 +32,9 @@ MAX_DIFFERENCE = 0.3  # of the correlations at the shorter lag along both axes o
 MIN_TEXTURE = 0.5  # correlation at the shorter lag along both axes of frames of a scene without a fixed pattern
 MAX_MOVING_TEXTURE = 0.1  # the same along the axis of the frames, where that scene jumps
 MAX_CLIPPED_SHARE = 0.5  # share of a frame at the ends of the range from which its samples are kept
-MAX_SHARE = 0.2  # of the pixels; more: the frames hardly change
-MIN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
-MIN_PIXELS = 20  # fewer are defective ones
+MAX_DRAWN_SHARE = 0.2  # of the pixels; more: the frames hardly change
+MIN_DRAWN_NEIGHBOURS = 2  # of the eight around a pixel that are drawn too; fewer: a dead pixel
+MIN_DRAWN_PIXELS = 20  # fewer are defective ones
 COMMON_VALUES, MIN_COMMON_SHARE = 3, 0.6  # shades of what is drawn, and share of its pixels that have them
 #: Of GDAL, Pix4D, ENVI, NetCDF and others, for floats and signed integers.
 FILL_VALUES = (
@@ -254,19 +254,19 @@ def clipped_samples(frames: Array) -> Array:
 
 
 def drawn_pixels(frames: Array) -> Mask:
-    """Such pixels (h, w) of frames (N, h, w), bool, side by side; none of frames that are all alike."""
+    """Pixels (h, w), bool, that text or marks cover in all frames (N, h, w); none of frames that are all alike."""
     same = (frames == frames[:1]).all(0)
-    if len(frames) < 2 or same.mean() > MAX_SHARE:
+    if len(frames) < 2 or same.mean() > MAX_DRAWN_SHARE:
         return np.zeros_like(same)
     around = convolve(same.astype(np.int8), np.ones((3, 3), np.int8), mode="constant") - same
-    drawn: Mask = same & (around >= MIN_NEIGHBOURS)
+    drawn: Mask = same & (around >= MIN_DRAWN_NEIGHBOURS)
     shades = np.sort(np.unique(frames[0][drawn], return_counts=True)[1])
-    is_drawn = drawn.sum() >= MIN_PIXELS and shades[-COMMON_VALUES:].sum() >= MIN_COMMON_SHARE * drawn.sum()
+    is_drawn = drawn.sum() >= MIN_DRAWN_PIXELS and shades[-COMMON_VALUES:].sum() >= MIN_COMMON_SHARE * drawn.sum()
     return drawn if is_drawn else np.zeros_like(same)
 
 
 def drawn_message(drawn: Mask) -> list[str]:
-    """A warning on such pixels (h, w); [] if there are none."""
+    """A warning on pixels (h, w) that text or marks cover; [] if there are none."""
     if not drawn.any():
         return []
     y, x = drawn.nonzero()

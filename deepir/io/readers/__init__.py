@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
+import itertools
 import pkgutil
 import warnings
 from collections.abc import Iterator, Mapping
@@ -67,7 +68,7 @@ class Reader:
         return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
-        """The same frame by frame, or in larger pieces."""
+        """The stored array frame by frame, or in larger pieces."""
         yield self.read(path, key)
 
     def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
@@ -75,7 +76,7 @@ class Reader:
         return None
 
     def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
-        """That of each frame, where they may differ."""
+        """Conversion of counts to kelvin, of each frame where they may differ."""
         return [self.radiometry(path, key)]
 
     def samples_file(self, path: Path) -> Path:
@@ -137,16 +138,14 @@ class Recording:
     def stream(self) -> Iterator[Array]:
         """The stored array in pieces: frames (h, w), or several at a time."""
         pieces = self.reader.stream(self.path, self.key)
-        empty = True
-        while True:
+        for count in itertools.count():
             with decoding(self.path):  # not around the loop: errors of the caller pass
                 piece = next(pieces, None)
+            if piece is None and count == 0:
+                raise DataError(f"{self.path}: a recording without frames")
             if piece is None:
-                break
+                return
             yield piece
-            empty = False
-        if empty:
-            raise DataError(f"{self.path}: a recording without frames")
 
     def radiometry(self) -> Radiometry | None:
         """Conversion of counts to kelvin, of the first frame; None if the file does not say."""
