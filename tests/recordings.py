@@ -176,12 +176,17 @@ def csq(path, frames):
     path.write_bytes(b"".join(fff(frame, imagecodecs.jpegls_encode(frame)) for frame in frames))
 
 
-def jpeg_with(marker, parts, size):
-    """A grey JPEG of `size` (h, w) with segments before its picture."""
+def jpeg_of(picture, parts):
+    """A grey JPEG of an array (h, w), with segments of a marker and a content before its picture."""
     buffer = io.BytesIO()
-    Image.fromarray(np.full(size, 90, np.uint8)).save(buffer, format="JPEG")
-    segments = b"".join(b"\xff" + bytes([marker]) + (len(part) + 2).to_bytes(2) + part for part in parts)
+    Image.fromarray(picture).save(buffer, format="JPEG")
+    segments = b"".join(b"\xff" + bytes([marker]) + (len(part) + 2).to_bytes(2) + part for marker, part in parts)
     return buffer.getvalue()[:2] + segments + buffer.getvalue()[2:]
+
+
+def jpeg_with(marker, parts, size):
+    """A uniform JPEG of `size` (h, w) with segments of one marker before its picture."""
+    return jpeg_of(np.full(size, 90, np.uint8), [(marker, part) for part in parts])
 
 
 def flir_jpeg(path, frames, packed=None, step=400):
@@ -204,12 +209,9 @@ def dji_jpeg(path, frames, shown=None):
 def infiray_jpeg(path, frames):
     """The first frame as InfiRay's IJPEG: a picture of 16 bits, then kelvin x 64, of a picture twice as large."""
     planes = bytes(frames[0].nbytes) + frames[0].astype("<u2").tobytes()
-    parts = [(b"\xff\xe2", b"\0\1\0\0IJPEG".ljust(64, b"\0"))]
-    parts += [(b"\xff\xe3", planes[at : at + 65000]) for at in range(0, len(planes), 65000)]
-    stored = io.BytesIO()
-    Image.fromarray(np.kron(frames[0] >> 8, np.ones((2, 2))).astype(np.uint8)).save(stored, format="JPEG")
-    segments = b"".join(marker + struct.pack(">H", len(part) + 2) + part for marker, part in parts)
-    path.write_bytes(stored.getvalue()[:2] + segments + stored.getvalue()[2:])
+    parts = [(0xE2, b"\0\1\0\0IJPEG".ljust(64, b"\0"))]
+    parts += [(0xE3, planes[at : at + 65000]) for at in range(0, len(planes), 65000)]
+    path.write_bytes(jpeg_of(np.kron(frames[0] >> 8, np.ones((2, 2))).astype(np.uint8), parts))
 
 
 def cptv(path, frames, bits=16):

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -84,10 +85,7 @@ def select_frames(frames: Array, select: Select, source: str) -> Array:
         f"{source}: data.frames={select!r} does not fit its {count} frames (numbered from 0). "
         "Give a count (8), a slice ('2:10', '::2') or a list of frame numbers ([0, 3, 5])."
     )
-    try:
-        picked = _indices(select)
-    except ValueError:
-        raise wrong from None
+    picked = _indices(select, wrong)
     named = [picked.start, picked.stop] if isinstance(picked, slice) else picked
     # A slice's end may be one beyond the last frame.
     limit = count + isinstance(picked, slice)
@@ -111,7 +109,7 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
     if select is None:
         return None
     numbers = np.arange(len(frames))
-    taken = numbers[_indices(select)]
+    taken = select_frames(numbers, select, "frames")
     reach = int(np.ptp(taken))
     gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
     free = ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
@@ -124,23 +122,19 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
     return as_float32(frames[np.stack((some, some + gap), 1).ravel()])
 
 
-def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
-    """A slice or a list of a selection; `ValueError` if it is neither, or has a step of zero."""
-    if isinstance(select, str) and ":" in select:
-        bounds = [int(part) if part.strip() else None for part in select.split(":")]
-        if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):
-            raise ValueError(select)
-        return slice(*bounds)
-    if isinstance(select, bool) or not isinstance(select, str | int | Sequence):
-        raise ValueError(select)
-    if isinstance(select, str | int):
-        count = int(select)
-        if count < 1:
-            raise ValueError(select)
-        return slice(0, count)
-    if any(isinstance(i, bool) or not isinstance(i, int | np.integer) for i in select):
-        raise ValueError(select)
-    return [int(i) for i in select]
+def _indices(select: str | int | Sequence[int], wrong: DataError) -> slice | list[int]:
+    """A slice or a list of a selection; `wrong` is raised if it is neither, or has a step of zero."""
+    with suppress(TypeError, ValueError):  # more than three bounds, or no whole numbers
+        if isinstance(select, str) and ":" in select:
+            found = slice(*(int(part) if part.strip() else None for part in select.split(":")))
+            if found.step != 0:
+                return found
+        elif isinstance(select, str | int) and not isinstance(select, bool):
+            if int(select) > 0:
+                return slice(0, int(select))
+        elif isinstance(select, Sequence) and all(type(i) is int or isinstance(i, np.integer) for i in select):
+            return [int(i) for i in select]
+    raise wrong
 
 
 @dataclass(frozen=True)
@@ -280,10 +274,7 @@ def _chosen(frames: Iterator[Array], select: str | int | Sequence[int]) -> Itera
         f"data.frames={select!r} names no frames of the recording. Give a count (8), a slice ('2:10', '::2') or a list "
         "of frame numbers ([0, 3, 5]), counted from the start"
     )
-    try:
-        which = _indices(select)
-    except ValueError:
-        raise wrong from None
+    which = _indices(select, wrong)
     ends = (which.start, which.stop, which.step) if isinstance(which, slice) else tuple(which)
     if any(end is not None and end < 0 for end in ends):
         raise wrong
