@@ -27,6 +27,9 @@ from deepir.io.tone_mapping import (
 )
 
 PathLike = str | os.PathLike[str]
+Array = np.ndarray[Any, Any]
+Write = Callable[[Array], None]
+FILM_FRAME_RATE = 30  # frames a second of a film
 
 
 @contextmanager
@@ -69,7 +72,7 @@ def atomic_files(*paths: PathLike) -> Iterator[list[Path]]:
                 temporary.unlink()
 
 
-def write_npz(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
+def write_npz(path: PathLike, arrays: Mapping[str, Array]) -> None:
     """Write named arrays as a compressed `.npz`.
 
     Raises:
@@ -89,13 +92,13 @@ def write_json(path: PathLike, content: Any) -> None:
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def write_tiff(path: PathLike, frames: np.ndarray[Any, Any], metadata: Mapping[str, Any] | None = None) -> None:
+def write_tiff(path: PathLike, frames: Array, metadata: Mapping[str, Any] | None = None) -> None:
     """Write (h, w) or (N, h, w) as float32 TIFF; ImageDescription holds `metadata` as JSON."""
     with atomic_file(path) as temporary:
         save_tiff(temporary, frames, metadata or {})
 
 
-def save_tiff(file: Path | IO[bytes], frames: np.ndarray[Any, Any], metadata: Mapping[str, Any]) -> None:
+def save_tiff(file: Path | IO[bytes], frames: Array, metadata: Mapping[str, Any]) -> None:
     """Write (h, w) or (N, h, w) as float32 TIFF to a name or into an open file, `metadata` in its ImageDescription."""
     import tifffile
 
@@ -108,9 +111,7 @@ def save_tiff(file: Path | IO[bytes], frames: np.ndarray[Any, Any], metadata: Ma
     )
 
 
-def write_preview(
-    path: PathLike, image: np.ndarray[Any, Any], palette: str = WHITE_HOT, mapping: str = PERCENTILE
-) -> None:
+def write_preview(path: PathLike, image: Array, palette: str = WHITE_HOT, mapping: str = PERCENTILE) -> None:
     """Write an image (h, w) as an 8-bit PNG, in a palette and a tone mapping of `tone_mapping`."""
     from PIL import Image
 
@@ -119,7 +120,7 @@ def write_preview(
         Image.fromarray(apply_palette(shades, palette)).save(temporary, format="PNG")
 
 
-def write_mat(path: PathLike, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
+def write_mat(path: PathLike, arrays: Mapping[str, Array]) -> None:
     """Write named arrays for MATLAB (version 5)."""
     import scipy.io
 
@@ -138,11 +139,6 @@ def to_json_types(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return str(value) if isinstance(value, os.PathLike) else value
-
-
-Array = np.ndarray[Any, Any]
-Write = Callable[[Array], None]
-FILM_FRAME_RATE = 30  # frames a second of a film
 
 
 @contextmanager
