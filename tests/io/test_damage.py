@@ -97,11 +97,10 @@ def flipped(content, bits):
     return bytes(changed)
 
 
-BITS = st.integers(1, 255)
 #: Strategies, and what they make of the bytes of a file.
 DAMAGE = {
-    "flipped bits": (st.dictionaries(st.integers(0, 2**20), BITS, min_size=1, max_size=4), flipped),
-    "a bit of the header": (st.dictionaries(st.integers(0, 255), BITS, min_size=1, max_size=1), flipped),
+    "flipped bits": (st.dictionaries(st.integers(0, 2**20), st.integers(1, 255), min_size=1, max_size=4), flipped),
+    "a bit of the header": (st.dictionaries(st.integers(0, 255), st.integers(1, 255), min_size=1, max_size=1), flipped),
     "rubbish behind a signature": (
         st.tuples(st.integers(4, 80), st.binary(max_size=200)),
         lambda content, new: content[: new[0]] + new[1],
