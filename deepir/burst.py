@@ -14,19 +14,24 @@ import torch
 from deepir.arrays.samples import as_float32
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
-from deepir.io import crop, fit_truth, read_data, read_mask, read_truth, validate
-from deepir.io.frames import is_banded, select_frames, selected_in_float32, unselected_pairs
-from deepir.io.frames import to_stack as stacked
-from deepir.io.inspection.axes import oriented
-from deepir.io.inspection.checks import unrecorded_samples, unusable_frames
+from deepir.io import Frames, crop, fit_truth, read_data, read_mask, read_truth, validate
+from deepir.io.frames import is_banded, select_frames, selected_in_float32, to_stack, unselected_pairs
+from deepir.io.inspection.checks import (
+    telemetry_message,
+    telemetry_rows,
+    torn_frames,
+    torn_message,
+    unrecorded_samples,
+    unusable_frames,
+)
 from deepir.io.inspection.samples import (
     clipped_samples,
     drawn_message,
     drawn_pixels,
     is_contrast_stretched,
+    oriented,
     saturated_samples,
 )
-from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.messages import Message
 
@@ -108,31 +113,27 @@ def load(
         ConfigError: There are two sources, or `data.simulate` or `data.radiometry` is wrong.
     """
     known: dict[str, Array] = {}
-    found = beside = None
     if data.path is not None and data.simulate is not None:
         raise ConfigError("data: give a path or simulate, not both (data.path=null or data.simulate=null)")
-    if frames is not None and is_banded(given := _array(frames)):
-        return _banded(data, given, truth, needs=needs, are_pictures=are_pictures)
     if frames is not None:
-        source, digest = "frames", ""
-        whole = oriented(stacked(_array(frames), source), data.axes, source)
-        stack, beside = (
-            selected_in_float32(whole, data.frames, source),
-            unselected_pairs(whole, data.frames),
-        )
+        given = _array(frames)
+        if is_banded(given):
+            return _banded(data, given, truth, needs=needs, are_pictures=are_pictures)
+        whole = oriented(to_stack(given, "frames"), data.axes, "frames")
+        some, beside = selected_in_float32(whole, data.frames, "frames"), unselected_pairs(whole, data.frames)
+        read = Frames(some, "frames", whole.dtype.name, "", beside=beside)
     elif data.path is not None:
         read = read_data(data, bands=True)
         if is_banded(read.frames):
             apart = data.model_copy(update={"path": None, "frames": None, "axes": None})
             found_bands = _banded(apart, read.frames, truth, needs=needs, are_pictures=are_pictures)
             return dataclasses.replace(found_bands, source=read.source, sha256=read.sha256)
-        stack, source, digest, found = read.frames, read.source, read.sha256, read.radiometry
-        beside = read.beside
     elif data.simulate is not None:
-        stack, source, digest, known = _simulated(data, seed)
+        read, known = _simulated(data, seed)
     else:
         raise DataError("data.path is missing: give the burst's file, for example data.path=burst.npz")
-    kelvin = resolve_radiometry(found, data.radiometry)
+    stack, source, beside = read.frames, read.source, read.beside
+    kelvin = resolve_radiometry(read.radiometry, data.radiometry)
     mask = read_mask(data.mask, stack.shape[1:]) if data.mask is not None else np.zeros(stack.shape[1:], bool)
     known = _truth(data, truth, known, stack)
     if data.crop is not None:
@@ -155,20 +156,20 @@ def load(
         raise DataError(f"{source}: the mask leaves no pixel")
     ends = None if stretched else saturated_samples(np.where(valid, stack, np.nan))
     stack = np.where(valid, stack, 0)
-    return Burst(stack, valid, bad | mask, source, digest, known, kelvin, stretched, ends, beside, messages)
+    return Burst(stack, valid, bad | mask, source, read.sha256, known, kelvin, stretched, ends, beside, messages)
 
 
-def _leave_out(stack: Array, valid: Array) -> tuple[bool, tuple[str, ...]]:
+def _leave_out(stack: Array, valid: Array) -> tuple[bool, list[str]]:
     """Whether each frame has a contrast of its own, and messages; `valid` loses what is no picture."""
-    messages: tuple[str, ...] = ()
+    messages = []
     if rows := telemetry_rows(stack):
         valid[:, rows] = False
-        messages = (telemetry_message(rows, stack.shape[1:]),)
+        messages = [telemetry_message(rows, stack.shape[1:])]
     shown = np.where(valid, stack, np.nan)
     stretched = is_contrast_stretched(shown)
     valid &= ~unrecorded_samples(shown)
     shown = np.where(valid, stack, np.nan)
-    messages = (*messages, *torn_message(torn_frames(shown), len(shown)), *drawn_message(drawn_pixels(shown)))
+    messages += torn_message(torn_frames(shown), len(shown)) + drawn_message(drawn_pixels(shown))
     if stretched:
         valid &= ~clipped_samples(shown)
     return stretched, messages
@@ -189,17 +190,8 @@ def _banded(data: Data, frames: Array, truth: Truth | None, *, needs: int, are_p
         return of(band, truth)
 
     # A frame that is empty in one band stays, so that all bands have the same frames.
-    first, *others = (
-        load(
-            data,
-            frames=frames[:, band],
-            truth=truth_of(band),
-            needs=needs,
-            ordered=True,
-            are_pictures=are_pictures,
-        )
-        for band in range(count)
-    )
+    options: dict[str, Any] = {"needs": needs, "ordered": True, "are_pictures": are_pictures}
+    first, *others = (load(data, frames=frames[:, band], truth=truth_of(band), **options) for band in range(count))
     return dataclasses.replace(first, bands=tuple(others))
 
 
@@ -257,8 +249,8 @@ def _array(frames: Any, source: str = "frames") -> Array:
         raise DataError(f"{source}: no array can be made of this: {why}") from None
 
 
-def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]]:
-    """Frames that are selected of a simulated burst, their source, digest and truth."""
+def _simulated(data: Data, seed: int) -> tuple[Frames, dict[str, Array]]:
+    """Frames that are selected of a simulated burst, and its truth."""
     from deepir.simulate.burst import simulate_from_config, truth_arrays
 
     simulation = simulate_from_config(data.simulate or {}, seed)
@@ -270,7 +262,7 @@ def _simulated(data: Data, seed: int) -> tuple[Array, str, str, dict[str, Array]
             f"data.frames={data.frames!r}: frame 0, on which the truth of a simulated burst lies, goes first"
         )
     stack = as_float32(select_frames(simulation.frames, data.frames, source))
-    return stack, source, hashlib.sha256(stack.tobytes()).hexdigest(), truth_arrays(simulation)
+    return Frames(stack, source, "float32", hashlib.sha256(stack.tobytes()).hexdigest()), truth_arrays(simulation)
 
 
 def _cropped(truth: Array, box: list[int], size: tuple[int, ...]) -> Array:

@@ -13,9 +13,9 @@ from scipy import ndimage
 
 from deepir.arrays.samples import as_float32, pattern_outliers
 from deepir.errors import DataError
-from deepir.io import readers, write_npz
+from deepir.io import write_npz
 from deepir.io.inspection.samples import FULL_SCALE_COUNTS
-from deepir.io.readers.numpy_arrays import Npz
+from deepir.io.readers.numpy_arrays import read_npz
 
 MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad
 MAX_BAD_SHARE = 0.5  # share of deviating pixels from which the recordings are not flat
@@ -115,11 +115,8 @@ def read_maps(path: Path) -> CorrectionMaps:
         DataError: They are missing, differ in size, or no pixel has a positive gain.
     """
     file = path / "result.npz" if path.is_dir() else path
-    with readers.decoding(file):
-        reader = readers.find_reader(file)
-        if not isinstance(reader, Npz):
-            raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
-        found = reader.read_all(file)
+    if (found := read_npz(file)) is None:
+        raise DataError(f"{file}: maps are an .npz with gain and offset, or the folder of a run")
     if missing := [name for name in ("gain", "offset") if name not in found]:
         raise DataError(f"{file}: no {' and no '.join(missing)}; maps are made by `deepir calibrate` or a run")
     gain, offset = (np.squeeze(found[name]).astype(np.float64) for name in ("gain", "offset"))

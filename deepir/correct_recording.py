@@ -13,7 +13,7 @@ from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
 from deepir.errors import ConfigError, DataError
 from deepir.io import cropped, stream_data
-from deepir.io.inspection.axes import oriented
+from deepir.io.inspection.samples import oriented
 from deepir.recording.correct import CorrectedRecording
 from deepir.recording.estimate import SensorEstimate
 

@@ -13,6 +13,8 @@ import scipy.io
 import tifffile
 from PIL import Image
 
+from deepir.io import read_frames, stream_frames
+
 
 def npz(path, frames):
     np.savez_compressed(path, frames=frames)
@@ -174,12 +176,17 @@ def csq(path, frames):
     path.write_bytes(b"".join(fff(frame, imagecodecs.jpegls_encode(frame)) for frame in frames))
 
 
-def jpeg_with(marker, parts, size):
-    """A grey JPEG of `size` (h, w) with segments before its picture."""
+def jpeg_of(picture, parts):
+    """A grey JPEG of an array (h, w), with segments of a marker and a content before its picture."""
     buffer = io.BytesIO()
-    Image.fromarray(np.full(size, 90, np.uint8)).save(buffer, format="JPEG")
-    segments = b"".join(b"\xff" + bytes([marker]) + (len(part) + 2).to_bytes(2) + part for part in parts)
+    Image.fromarray(picture).save(buffer, format="JPEG")
+    segments = b"".join(b"\xff" + bytes([marker]) + (len(part) + 2).to_bytes(2) + part for marker, part in parts)
     return buffer.getvalue()[:2] + segments + buffer.getvalue()[2:]
+
+
+def jpeg_with(marker, parts, size):
+    """A uniform JPEG of `size` (h, w) with segments of one marker before its picture."""
+    return jpeg_of(np.full(size, 90, np.uint8), [(marker, part) for part in parts])
 
 
 def flir_jpeg(path, frames, packed=None, step=400):
@@ -202,12 +209,9 @@ def dji_jpeg(path, frames, shown=None):
 def infiray_jpeg(path, frames):
     """The first frame as InfiRay's IJPEG: a picture of 16 bits, then kelvin x 64, of a picture twice as large."""
     planes = bytes(frames[0].nbytes) + frames[0].astype("<u2").tobytes()
-    parts = [(b"\xff\xe2", b"\0\1\0\0IJPEG".ljust(64, b"\0"))]
-    parts += [(b"\xff\xe3", planes[at : at + 65000]) for at in range(0, len(planes), 65000)]
-    stored = io.BytesIO()
-    Image.fromarray(np.kron(frames[0] >> 8, np.ones((2, 2))).astype(np.uint8)).save(stored, format="JPEG")
-    segments = b"".join(marker + struct.pack(">H", len(part) + 2) + part for marker, part in parts)
-    path.write_bytes(stored.getvalue()[:2] + segments + stored.getvalue()[2:])
+    parts = [(0xE2, b"\0\1\0\0IJPEG".ljust(64, b"\0"))]
+    parts += [(0xE3, planes[at : at + 65000]) for at in range(0, len(planes), 65000)]
+    path.write_bytes(jpeg_of(np.kron(frames[0] >> 8, np.ones((2, 2))).astype(np.uint8), parts))
 
 
 def cptv(path, frames, bits=16):
@@ -266,6 +270,14 @@ def needs(library, *values):
     """A parameter of a test that is left out where `library` is not installed."""
     missing = importlib.util.find_spec(library) is None
     return pytest.param(*values, marks=pytest.mark.skipif(missing, reason=f"{library} is not installed"))
+
+
+def assert_read(path, frames, **options):
+    """A file gives these frames, whole and frame by frame; returns what is read of it."""
+    read = read_frames(path, **options)
+    np.testing.assert_array_equal(read.frames, frames)
+    np.testing.assert_array_equal(list(stream_frames(path, **options)), frames)
+    return read
 
 
 def small_picture(kind):

@@ -40,24 +40,19 @@ def mean_flats(see, *levels):
 
 def test_two_flats_give_gain_and_offset_and_many_agree_better(camera):
     gain, _, bad, see = camera
-    found = calibration.maps_from_flats([calibration.mean_frame(see(level), "flat") for level in (7000, 9000)])
-    np.testing.assert_array_equal(found.bad_pixels, bad)
-    good = ~bad
-    assert np.std((found.gain - gain)[good]) < 0.002
-    assert found.gain[good].mean() == pytest.approx(1, abs=1e-6)
-    assert found.offset[good].mean() == pytest.approx(0, abs=1e-2)
-
-
-def test_many_flats_agree_better_than_two(camera):
-    gain, _, bad, see = camera
-    means = [calibration.mean_frame(see(level), "flat") for level in (7000, 7000, 7000, 9000, 9000, 9000)]
-    errors = [np.std((calibration.maps_from_flats(flats).gain - gain)[~bad]) for flats in (means[2:4], means)]
+    means = mean_flats(see, 7000, 7000, 7000, 9000, 9000, 9000)
+    two, many = (calibration.maps_from_flats(flats) for flats in (means[2:4], means))
+    np.testing.assert_array_equal(two.bad_pixels, bad)
+    errors = [np.std((found.gain - gain)[~bad]) for found in (two, many)]
+    assert errors[0] < 0.002
     assert errors[1] < 0.7 * errors[0]
+    assert two.gain[~bad].mean() == pytest.approx(1, abs=1e-6)
+    assert two.offset[~bad].mean() == pytest.approx(0, abs=1e-2)
 
 
 def test_one_flat_takes_away_all_of_the_pattern_at_its_temperature(camera):
     _, _, bad, see = camera
-    found = calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat")])
+    found = calibration.maps_from_flats(mean_flats(see, 8000))
     corrected = found.correct(see(8000, 1)[0])
     assert (found.gain == 1).all()
     assert np.std(corrected[~bad]) == pytest.approx(4, rel=0.1)  # the noise
@@ -114,20 +109,17 @@ def test_files_without_valid_maps_are_refused(tmp_path, arrays, message):
         calibration.read_maps(tmp_path / "maps.npz")
 
 
-def test_frames_that_maps_cannot_correct_and_flats_that_give_none_are_refused(camera):
+def test_frames_that_maps_cannot_correct_and_flats_of_one_temperature_are_refused(camera):
+    _, _, _, see = camera
     with pytest.raises(DataError, match="the frames are 9 x 9 px, the maps 48 x 64 px"):
         CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), np.zeros(SHAPE, bool)).correct(np.ones((9, 9)))
-
-
-def test_flats_of_one_temperature_give_no_gain(camera):
-    _, _, _, see = camera
     with pytest.raises(DataError, match="two temperatures are needed"):
-        calibration.maps_from_flats([calibration.mean_frame(see(8000), "flat") for _ in range(2)])
+        calibration.maps_from_flats(mean_flats(see, 8000, 8000))
 
 
 def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
     _, _, bad, see = camera
-    flats = [calibration.mean_frame(see(level), "flat") for level in (7000, 9000)]
+    flats = mean_flats(see, 7000, 9000)
     flats[1][7, 7] = np.nan
     assert np.argwhere(calibration.maps_from_flats(flats).bad_pixels & ~bad).tolist() == [[7, 7]]
     with pytest.raises(DataError, match="no pixel has a value"):
@@ -160,7 +152,7 @@ def test_maps_come_back_from_their_file_and_those_of_a_run_hold_its_stray_flux(t
 
 def test_maps_of_another_camera_or_of_other_units_roughen_a_frame(camera, scene):
     _, _, _, see = camera
-    found = calibration.maps_from_flats([calibration.mean_frame(see(level), "flat") for level in (7000, 9000)])
+    found = calibration.maps_from_flats(mean_flats(see, 7000, 9000))
     frame = see(scene, 1)[0]
     assert found.roughness_ratio(frame) < 0.3
     assert found.roughness_ratio(scene + 40 * np.random.default_rng(9).standard_normal(SHAPE)) > 1.3

@@ -215,7 +215,7 @@ def analyze(
     A burst is solved first, with the settings of `deepir run nuc`, and rated. With --flat, settings are those of the
     file's format.
     """
-    from deepir.analysis.burst_assessment import report_lines
+    from deepir.analysis import report_lines
     from deepir.paths import expanded
     from deepir.report.panels import write_analysis
 

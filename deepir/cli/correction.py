@@ -21,7 +21,7 @@ from deepir.correct_recording import sensor_of_burst
 from deepir.errors import ConfigError, DataError, DeepIRError
 from deepir.io import atomic_file, atomic_files, readers, stream_data
 from deepir.io.frames import digest
-from deepir.io.output.recording import open_writer, output_type, write_frames
+from deepir.io.output import open_writer, output_type, write_frames
 from deepir.io.radiometry import unit_metadata
 from deepir.kernels.memory import peak_memory
 from deepir.messages import labelled

@@ -21,7 +21,7 @@ from deepir.config.overrides import parse_settings
 from deepir.config.schema import Output
 from deepir.errors import ConfigError, DataError
 from deepir.io import cropped, stream_data
-from deepir.io.output.recording import Write, cast, open_writer, output_type
+from deepir.io.output import Write, cast, open_writer, output_type
 from deepir.io.radiometry import unit_metadata
 from deepir.live import sources
 from deepir.live.corrector import Corrector

@@ -118,7 +118,7 @@ def _messages(maps: Path) -> list[str]:
 def _apply(maps: CorrectionMaps, config: Config, target: Path, *, rounded: bool) -> str:
     """Write all frames; a line with the result."""
     from deepir.io import stream_data
-    from deepir.io.output.recording import open_writer, output_type, write_frames
+    from deepir.io.output import open_writer, output_type, write_frames
     from deepir.io.radiometry import unit_metadata
 
     data, shown = config.data, config.output

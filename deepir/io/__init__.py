@@ -4,7 +4,7 @@ from deepir.io.frames import Frames, cropped, read_array, read_data, read_frames
 from deepir.io.inspection.checks import crop, validate
 from deepir.io.inspection.describe import describe
 from deepir.io.maps import fit_truth, read_mask, read_truth
-from deepir.io.output.write import (
+from deepir.io.output import (
     atomic_file,
     atomic_files,
     write_json,

@@ -6,8 +6,8 @@ import hashlib
 import itertools
 import os
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,18 @@ from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io import readers
 from deepir.io.guards import judging_colours_in, masked, warn_once
-from deepir.io.inspection.axes import BLOCK_SIDE, USUAL, oriented, turned_axes
 from deepir.io.inspection.checks import crop
-from deepir.io.inspection.samples import SAMPLED_FRAMES, in_order, lost_samples, swapped, wrapped_type
+from deepir.io.inspection.samples import (
+    BLOCK_SIDE,
+    SAMPLED_FRAMES,
+    USUAL,
+    in_order,
+    lost_samples,
+    oriented,
+    swapped,
+    turned_axes,
+    wrapped_type,
+)
 from deepir.io.radiometry import Radiometry, as_of_frame_0
 from deepir.io.raw import Headerless
 from deepir.io.readers.folder import burst_files
@@ -76,10 +85,7 @@ def select_frames(frames: Array, select: Select, source: str) -> Array:
         f"{source}: data.frames={select!r} does not fit its {count} frames (numbered from 0). "
         "Give a count (8), a slice ('2:10', '::2') or a list of frame numbers ([0, 3, 5])."
     )
-    try:
-        picked = _indices(select)
-    except ValueError:
-        raise wrong from None
+    picked = _indices(select, wrong)
     named = [picked.start, picked.stop] if isinstance(picked, slice) else picked
     # A slice's end may be one beyond the last frame.
     limit = count + isinstance(picked, slice)
@@ -103,7 +109,7 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
     if select is None:
         return None
     numbers = np.arange(len(frames))
-    taken = numbers[_indices(select)]
+    taken = select_frames(numbers, select, "frames")
     reach = int(np.ptp(taken))
     gap = int(np.clip(reach // 2, 1, MAX_PAIR_GAP))
     free = ~np.isin(numbers, taken) & (numbers >= taken.min() - reach) & (numbers <= taken.max() + reach + gap)
@@ -116,23 +122,19 @@ def unselected_pairs(frames: Array, select: Select) -> np.ndarray[Any, np.dtype[
     return as_float32(frames[np.stack((some, some + gap), 1).ravel()])
 
 
-def _indices(select: str | int | Sequence[int]) -> slice | list[int]:
-    """A slice or a list of a selection; `ValueError` if it is neither, or has a step of zero."""
-    if isinstance(select, str) and ":" in select:
-        bounds = [int(part) if part.strip() else None for part in select.split(":")]
-        if len(bounds) > 3 or (len(bounds) == 3 and bounds[2] == 0):
-            raise ValueError(select)
-        return slice(*bounds)
-    if isinstance(select, bool) or not isinstance(select, str | int | Sequence):
-        raise ValueError(select)
-    if isinstance(select, str | int):
-        count = int(select)
-        if count < 1:
-            raise ValueError(select)
-        return slice(0, count)
-    if any(isinstance(i, bool) or not isinstance(i, int | np.integer) for i in select):
-        raise ValueError(select)
-    return [int(i) for i in select]
+def _indices(select: str | int | Sequence[int], wrong: DataError) -> slice | list[int]:
+    """A slice or a list of a selection; `wrong` is raised if it is neither, or has a step of zero."""
+    with suppress(TypeError, ValueError):  # more than three bounds, or no whole numbers
+        if isinstance(select, str) and ":" in select:
+            found = slice(*(int(part) if part.strip() else None for part in select.split(":")))
+            if found.step != 0:
+                return found
+        elif isinstance(select, str | int) and not isinstance(select, bool):
+            if int(select) > 0:
+                return slice(0, int(select))
+        elif isinstance(select, Sequence) and all(type(i) is int or isinstance(i, np.integer) for i in select):
+            return [int(i) for i in select]
+    raise wrong
 
 
 @dataclass(frozen=True)
@@ -184,19 +186,18 @@ def read_frames(
     Raises:
         DataError: It cannot be read, or holds no burst of numbers.
     """
-    file = expanded(path)
-    reader = _reader(file, raw)
+    recording = _opened(path, key, raw)
+    file, source = recording.path, recording.source
     with judging_colours_in(grey_within):
-        stored = readers.read(file, key, reader)
-    source = f"{file}[{key}]" if key else str(file)
+        stored = recording.read()
     if bands and is_banded(stored):
         selected = as_float32(select_frames(stored, select, source))
         return Frames(selected, source, stored.dtype.name, digest(file))
     stored = to_stack(stored, str(file))
     dtype = stored.dtype
-    stored = oriented(stored, axes or (None if reader.any_axes else USUAL), source)
+    stored = oriented(stored, axes or (None if recording.reader.any_axes else USUAL), source)
     (stored,) = _unwrapped([in_order(stored, swap_bytes, source, advice=_RAW_ORDER if raw else "")], source)
-    laws = readers.radiometries(file, key, reader)
+    laws = recording.radiometries()
     if len(laws) > 1:
         stored = np.ma.stack([*as_of_frame_0(stored, laws, radiometry, source)])
     frames = selected_in_float32(stored, select, source)
@@ -216,7 +217,7 @@ def read_array(path: str | os.PathLike[str], *, key: str | None = None) -> Array
         DataError: It cannot be read, or holds no numbers.
     """
     file = expanded(path)
-    stored = readers.read(file, key)
+    stored = readers.opened(file, key).read()
     if stored.dtype.kind not in "fiub":
         raise DataError(f"{file}: values of type {stored.dtype.name}; real numbers are needed")
     return as_float32(stored)
@@ -238,18 +239,17 @@ def stream_frames(
     Raises:
         DataError: As `read_frames`.
     """
-    file = expanded(path)
-    source = f"{file}[{key}]" if key else str(file)
-    reader = _reader(file, raw)
-    first = _first_frames(_stream(file, key, reader), BLOCK_SIDE if reader.any_axes else SAMPLED_FRAMES)
-    if axes not in (None, USUAL) or (axes is None and reader.any_axes and turned_axes(first) is not None):
-        first = oriented(to_stack(readers.read(file, key, reader), str(file)), axes, source)
+    recording = _opened(path, key, raw)
+    source, any_axes = recording.source, recording.reader.any_axes
+    first = _first_frames(_stream(recording), BLOCK_SIDE if any_axes else SAMPLED_FRAMES)
+    if axes not in (None, USUAL) or (axes is None and any_axes and turned_axes(first) is not None):
+        first = oriented(to_stack(recording.read(), str(recording.path)), axes, source)
         frames = iter(first)
     else:
-        frames = _stream(file, key, reader)
+        frames = _stream(recording)
     in_order(first, swap_bytes, source, advice=_RAW_ORDER if raw else "")
     frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
-    laws = readers.radiometries(file, key, reader)
+    laws = recording.radiometries()
     if len(laws) > 1:
         frames = as_of_frame_0(frames, laws, radiometry, source)
     for frame in frames:
@@ -274,10 +274,7 @@ def _chosen(frames: Iterator[Array], select: str | int | Sequence[int]) -> Itera
         f"data.frames={select!r} names no frames of the recording. Give a count (8), a slice ('2:10', '::2') or a list "
         "of frame numbers ([0, 3, 5]), counted from the start"
     )
-    try:
-        which = _indices(select)
-    except ValueError:
-        raise wrong from None
+    which = _indices(select, wrong)
     ends = (which.start, which.stop, which.step) if isinstance(which, slice) else tuple(which)
     if any(end is not None and end < 0 for end in ends):
         raise wrong
@@ -299,15 +296,16 @@ def _layout(data: schema.Data) -> dict[str, Any]:
     return {name: getattr(data, name) for name in ("key", "raw", "axes", "swap_bytes", "radiometry")}
 
 
-def _reader(file: Path, raw: Raw | None) -> readers.Reader:
-    """The reader of a file with or without a header."""
-    return readers.known_reader(file) if raw is None else Headerless(raw)
+def _opened(path: str | os.PathLike[str], key: str | None, raw: Raw | None) -> readers.Recording:
+    """A recording with or without a header."""
+    file = expanded(path)
+    return readers.opened(file, key) if raw is None else readers.Recording(file, Headerless(raw), key)
 
 
-def _stream(file: Path, key: str | None, reader: readers.Reader) -> Iterator[Array]:
+def _stream(recording: readers.Recording) -> Iterator[Array]:
     """Frame after frame (h, w) as stored."""
-    for piece in readers.stream(file, key, reader):
-        yield from to_stack(piece, str(file))
+    for piece in recording.stream():
+        yield from to_stack(piece, str(recording.path))
 
 
 def _first_frames(frames: Iterable[Array], count: int) -> Array:
@@ -347,7 +345,10 @@ def digest(path: str | os.PathLike[str]) -> str:
     """
     file = expanded(path)
     with readers.decoding(file):
-        return _sha256(file)
+        if file.is_dir() or readers.is_glob(file):
+            return hashlib.sha256("".join(map(digest, burst_files(file))).encode()).hexdigest()
+        with readers.samples_file(file).open("rb") as samples:
+            return hashlib.file_digest(samples, "sha256").hexdigest()
 
 
 def is_banded(array: Array) -> bool:
@@ -381,11 +382,3 @@ def to_stack(array: Array, source: str) -> Array:
     if array.ndim != 3 or 0 in shape:
         raise DataError(f"{source}: an array of shape {shape}; expected (frames, height, width) or (height, width)")
     return array
-
-
-def _sha256(path: Path) -> str:
-    if path.is_dir() or readers.is_glob(path):
-        digests = "".join(_sha256(file) for file in burst_files(path))
-        return hashlib.sha256(digests.encode()).hexdigest()
-    with readers.samples_file(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,15 +1,16 @@
-"""Guards of input and output: files, their size, and packages that a format needs."""
+"""Guards of input and output: files, their bytes and their size, grey pictures, and packages that a format needs."""
 
 from __future__ import annotations
 
 import functools
 import importlib
 import logging
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Self
 
 import numpy as np
 
@@ -22,6 +23,16 @@ LOSSY_TOLERANCE = 0.02  # difference of the channels that a lossy codec may give
 MAX_COLOURED = 0.01  # share of the pixels of a grey picture that may be coloured: marks and text
 MAX_COLOURED_LOSSY = 0.05  # the same where a lossy codec spreads their colours over its blocks
 UNCHECKED_BYTES = GIB // 16  # size up to which a claim is not checked: an empty mask may be that compressible
+SEARCH_BYTES = 2**20  # read at once while bytes are sought
+
+Array = np.ndarray[Any, np.dtype[Any]]
+log = logging.getLogger("deepir")
+#: Rows and columns of pictures in which colours count: what lies outside is cropped.
+_judged: ContextVar[tuple[slice, slice]] = ContextVar("judged", default=(slice(None), slice(None)))
+
+
+class ColourError(DataError):
+    """A picture is in colour."""
 
 
 def import_optional(library: str, extra: str, what: str) -> Any:
@@ -44,16 +55,6 @@ def import_optional(library: str, extra: str, what: str) -> Any:
         raise DataError(
             f"{what}: this needs {library}, which is not installed: pip install 'deepir[{extra}]'"
         ) from None
-
-
-log = logging.getLogger("deepir")
-
-#: Rows and columns of pictures in which colours count: what lies outside is cropped.
-_judged: ContextVar[tuple[slice, slice]] = ContextVar("judged", default=(slice(None), slice(None)))
-
-
-class ColourError(DataError):
-    """A picture is in colour."""
 
 
 def check_size(path: Path, declared: int, stored: int, *, compressed: bool = False, at_once: bool = True) -> None:
@@ -96,12 +97,12 @@ def judging_colours_in(box: Sequence[int] | None) -> Iterator[None]:
         _judged.reset(token)
 
 
-def masked(frames: np.ndarray[Any, Any], lost: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+def masked(frames: Array, lost: Array) -> Array:
     """Frames that are masked where samples are lost besides, if any are."""
     return np.ma.masked_array(frames, np.ma.getmaskarray(frames) | lost) if lost.any() else frames
 
 
-def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0) -> np.ndarray[Any, Any]:
+def to_grey(pixels: Array, path: Path, *, tolerance: float = 0.0) -> Array:
     """The one channel of a grey picture that was stored in colour.
 
     Args:
@@ -129,3 +130,81 @@ def to_grey(pixels: np.ndarray[Any, Any], path: Path, *, tolerance: float = 0.0)
             "bar or a legend at its edge is in colour, take it off with data.crop"
         )
     return masked(first, coloured)
+
+
+class FileBytes:
+    """A file as `bytes`, as far as slices, `len` and `find` go; a context manager.
+
+    Unlike a memory map it may lie on a file that is cut meanwhile: that is a `DataError`, and no signal.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = path.open("rb")
+        self._size = path.stat().st_size
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return self._size
+
+    def __getitem__(self, part: slice) -> bytes:
+        start, stop, _ = part.indices(self._size)
+        self._file.seek(start)
+        found = self._file.read(max(0, stop - start))
+        if len(found) < stop - start:
+            raise DataError(f"{self.path}: truncated while it was read")
+        return found
+
+    def find(self, what: bytes, start: int) -> int:
+        """First place at or after `start` where these bytes are; -1: nowhere."""
+        if self[start : start + len(what)] == what:  # the usual place of a next frame
+            return start
+        while start < self._size:
+            at = self[start : start + SEARCH_BYTES].find(what)
+            if at >= 0:
+                return start + at
+            start += SEARCH_BYTES - len(what) + 1
+        return -1
+
+
+def read_samples(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int]) -> Array:
+    """An array in C order; arguments as those of `stream_planes`. The file holds them, as its caller has checked."""
+    size = math.prod(shape) * dtype.itemsize
+    check_size(path, size, size)
+    return np.fromfile(path, dtype, math.prod(shape), offset=offset).reshape(shape)
+
+
+def stream_planes(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int], gap: int = 0) -> Iterator[Array]:
+    """The arrays `shape[1:]` of an array in C order; `offset`: bytes before its first sample, `gap`: between arrays."""
+    with path.open("rb") as file:
+        file.seek(offset)
+        yield from read_planes(file, path, dtype, shape, gap)
+
+
+def read_planes(
+    stream: IO[bytes], path: Path, dtype: np.dtype[Any], shape: Sequence[int], gap: int = 0
+) -> Iterator[Array]:
+    """The arrays `shape[1:]` of an array in C order.
+
+    Args:
+        stream: At the first sample.
+        path: The file, for messages.
+        dtype: Of a sample, byte order included.
+        shape: Of the whole array.
+        gap: Bytes between arrays.
+
+    Raises:
+        DataError: The stream ends before the array does.
+    """
+    size = math.prod(shape[1:]) * dtype.itemsize
+    for number in range(shape[0]):
+        data = stream.read(size)
+        if len(data) < size:
+            raise DataError(f"{path}: truncated: it ends within frame {number} of {shape[0]}")
+        yield np.frombuffer(data, dtype).reshape(shape[1:])
+        stream.read(gap)

@@ -12,7 +12,7 @@ from deepir.errors import DataError
 from deepir.io import readers
 from deepir.io.frames import to_stack
 from deepir.io.inspection.checks import Mask
-from deepir.io.readers.numpy_arrays import Npz
+from deepir.io.readers.numpy_arrays import read_npz
 from deepir.paths import expanded
 
 Shape = tuple[int, int]
@@ -29,7 +29,7 @@ def read_mask(path: str | os.PathLike[str], shape: Shape) -> Mask:
         DataError: It has another shape, or ignores every pixel.
     """
     file = expanded(path)
-    array = readers.read(file)
+    array = readers.opened(file).read()
     if array.dtype.kind == "b":
         array = array.astype(np.uint8)
     mask = np.ma.getdata(to_stack(array, str(file))) != 0
@@ -56,11 +56,8 @@ def read_truth(path: str | os.PathLike[str], shape: Shape) -> dict[str, np.ndarr
         DataError: There is no scene, or it does not fit `shape`.
     """
     file = expanded(path)
-    reader = readers.known_reader(file)
-    if isinstance(reader, Npz):
-        with readers.decoding(file):
-            return fit_truth(reader.read_all(file), shape, str(file))
-    return fit_truth({"scene": readers.read(file, reader=reader)}, shape, str(file))
+    named = read_npz(file)
+    return fit_truth({"scene": readers.opened(file).read()} if named is None else named, shape, str(file))
 
 
 def fit_truth(

@@ -12,8 +12,7 @@ import numpy as np
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io.file_bytes import read_samples, stream_planes
-from deepir.io.guards import check_size, warn_once
+from deepir.io.guards import check_size, read_samples, stream_planes, warn_once
 from deepir.io.readers import Array, Reader
 
 MIN_WIDTH, MIN_ROWS = 24, 8  # px of a width that is looked for, and rows of it

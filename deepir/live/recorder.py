@@ -19,7 +19,7 @@ from platformdirs import user_data_path
 from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps, read_maps
 from deepir.errors import DataError
-from deepir.io.output.recording import Write, output_type, tiff
+from deepir.io.output import Write, output_type, tiff
 from deepir.recording.keyframes import WINDOW, ChosenFrames, KeyframeCollector, motion_spacing
 
 Array = np.ndarray[Any, Any]

@@ -15,8 +15,8 @@ from deepir.cameras.camera import FRAME_TIMEOUT, POLL_INTERVAL, Camera
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
-from deepir.io.output.tone_mapping import TONE_MAPPINGS, apply_palette
 from deepir.io.raw import clear_unused_bits, sample_type
+from deepir.io.tone_mapping import TONE_MAPPINGS, apply_palette
 from deepir.kernels import memory
 from deepir.live.corrector import Corrector, Status
 

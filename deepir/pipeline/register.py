@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.analysis.burst_assessment import MIN_MOTION_SPAN
+from deepir.analysis import MIN_MOTION_SPAN
 from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from deepir.io.output.tone_mapping import DEVIATIONS, colour_table, display_limits, stretch
-from deepir.io.output.write import atomic_file
+from deepir.io.output import atomic_file
+from deepir.io.tone_mapping import DEVIATIONS, colour_table, display_limits, stretch
 
 Point = tuple[float, float]
 TITLE_SIZE, LABEL_SIZE = 16, 13  # px

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deepir.io.output.tone_mapping import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table, display_limits
-from deepir.io.output.write import atomic_file, to_json_types
+from deepir.io.output import atomic_file, to_json_types
 from deepir.io.radiometry import KELVIN, unit_metadata
+from deepir.io.tone_mapping import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table, display_limits
 from deepir.messages import DISTRUSTED, NOTES, WARNINGS, by_importance, labelled
 from deepir.paths import printable
 from deepir.report.panels import evenly_spaced

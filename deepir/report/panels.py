@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import Image
 
-from deepir.analysis.burst_assessment import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL
+from deepir.analysis import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL
 from deepir.io import atomic_file
-from deepir.io.output.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, stretch
+from deepir.io.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, stretch
 from deepir.report.drawing import COLOURS, Axes, Scale, composed, draw_colours, draw_map, map_height, write_figure
 
 if TYPE_CHECKING:

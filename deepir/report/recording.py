@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deepir.io.output.tone_mapping import PALETTES, WHITE_HOT
+from deepir.io.tone_mapping import PALETTES, WHITE_HOT
 from deepir.messages import labelled
 from deepir.paths import printable
 from deepir.report.html import MAP_PALETTES, Verdict, colours, packed, warned, write_page

@@ -17,12 +17,12 @@ from filelock import FileLock, Timeout
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from deepir.errors import ConfigError, DataError, DeepIRError
-from deepir.io.output.write import atomic_file, write_json
+from deepir.io.output import atomic_file, write_json
 from deepir.paths import printable
 
 LOCK_NAME = ".lock"  # file within a folder that is held
 LOCK_WAIT = 0.3  # s; a process that comes too late has the first one's name by then
-#: Files that `deepir.io.output.write.atomic_files` leaves behind when it is killed.
+#: Files that `deepir.io.output.atomic_files` leaves behind when it is killed.
 TEMPORARY_PATTERN = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.\w+)")
 #: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
 RUN_FILES = (

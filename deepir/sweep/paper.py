@@ -14,7 +14,7 @@ from PIL import Image
 
 from deepir.config import load
 from deepir.io import atomic_file
-from deepir.io.output.tone_mapping import SIGNED, WHITE_HOT
+from deepir.io.tone_mapping import SIGNED, WHITE_HOT
 from deepir.metrics import align
 from deepir.paths import printable
 from deepir.report.drawing import composed, draw_map

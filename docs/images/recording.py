@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from deepir.io import read_frames
-from deepir.io.output.write import TONE_MAPPINGS, apply_palette
+from deepir.io.tone_mapping import TONE_MAPPINGS, apply_palette
 
 
 def main() -> None:

@@ -43,20 +43,21 @@ def with_defects():
     [
         (
             with_defects(),
-            ["4 frame(s) of 128 x 160 px (height x width), stored as uint16", "values 0 to 16383"],
+            [
+                "4 frame(s) of 128 x 160 px (height x width), stored as uint16",
+                "values 0 to 16383",
+                "1 sample(s) are NaN",
+                "2 pixel(s) are zero in every frame",
+                "1 sample(s) are at full scale (16383)",
+            ],
         ),
-        (with_defects(), ["1 sample(s) are NaN", "2 pixel(s) are zero in every frame"]),
-        (with_defects(), ["1 sample(s) are at full scale (16383)"]),
         (simulated(0, contrast=0), ["motion: none"]),
         (simulated(0, count=1).repeat(3, axis=0), ["temporal noise about 0 ", "motion: none"]),
         (np.ones((1, 20, 20)), ["too few or too small"]),
         (np.ones((3, 8, 20)), ["too few or too small"]),
         (np.full((2, 20, 20), np.nan), ["no finite value"]),
         # A camera of 9 Hz that is read at 27.
-        (
-            simulated(3).repeat(3, axis=0),
-            ["8 frame(s) repeat the one before them; a run leaves", "motion: yes"],
-        ),
+        (simulated(3).repeat(3, axis=0), ["8 frame(s) repeat the one before them; a run leaves", "motion: yes"]),
     ],
 )
 def test_what_frames_hold_is_said(frames, lines):

@@ -1,6 +1,7 @@
 """Pictures of an automatic gain: each frame has a contrast and a level of its own, and is cut off at both ends."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -22,13 +23,19 @@ def automatic_gain(frames, bits=8):
     return np.rint(np.clip((frames - low) / (high - low), 0, 1) * (2**bits - 1))
 
 
+@functools.cache
+def solved(seed):
+    """A simulated burst, its pictures, and what is found of them."""
+    sim = simulate(None, CAMERA, seed=seed)
+    pictures = automatic_gain(sim.frames).astype(np.uint8)
+    return sim, pictures, deepir.run("nuc", frames=pictures, threads=1)
+
+
 @pytest.mark.parametrize("seed", [4, 7, pytest.param(9, marks=pytest.mark.slow)])
 def test_an_automatic_gain_is_undone(seed):
-    sim = simulate(None, CAMERA, seed=seed)
-    pictures = automatic_gain(sim.frames)
-    scene = deepir.run("nuc", frames=pictures, threads=1).scene
-    average = deepir.run("nuc", frames=pictures, method="average", threads=1).scene
-    found, usual = (scores(each, sim.truth.scene)["psnr_aligned"] for each in (scene, average))
+    sim, pictures, result = solved(seed)
+    average = deepir.run("nuc", frames=pictures, method="average", threads=1)
+    found, usual = (scores(each.scene, sim.truth.scene)["psnr_aligned"] for each in (result, average))
     assert found > usual + 10
 
 
@@ -54,9 +61,9 @@ def test_who_walks_through_pictures_does_not_pass_for_their_contrast():
 
 
 def test_an_interrupted_run_on_such_pictures_goes_on_to_the_same_result(tmp_path):
-    path = tmp_path / "film.npy"
-    np.save(path, automatic_gain(simulate(None, CAMERA, seed=3).frames).astype(np.uint8))
-    data = {"path": str(path)}
+    _, pictures, whole = solved(4)
+    np.save(tmp_path / "film.npy", pictures)
+    data = {"path": str(tmp_path / "film.npy")}
 
     def stop(progress: Progress) -> None:
         if progress.stage == "sensor 3":
@@ -64,9 +71,7 @@ def test_an_interrupted_run_on_such_pictures_goes_on_to_the_same_result(tmp_path
 
     with pytest.raises(KeyboardInterrupt):
         deepir.run("nuc", data=data, output={"dir": str(tmp_path / "run")}, threads=1, callbacks=[stop])
-    resumed = deepir.storage.stored.resume(tmp_path / "run")
-    whole = deepir.run("nuc", data=data, threads=1)
-    np.testing.assert_array_equal(resumed.scene, whole.scene)
+    np.testing.assert_array_equal(deepir.storage.stored.resume(tmp_path / "run").scene, whole.scene)
 
 
 def test_eight_bits_and_frames_of_one_range_are_stretched_and_counts_are_not():

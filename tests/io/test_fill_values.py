@@ -10,6 +10,12 @@ from deepir.io import read_frames, stream_frames
 from deepir.io.inspection.samples import FILL_VALUES, lost_samples
 
 
+def assert_lost(path, expected):
+    """These samples of a file, and no others, are lost, whole and frame by frame."""
+    np.testing.assert_array_equal(np.isnan(read_frames(path).frames), expected)
+    np.testing.assert_array_equal([np.ma.getmaskarray(frame) for frame in stream_frames(path)], expected)
+
+
 @pytest.fixture
 def celsius():
     return np.random.default_rng(0).uniform(-20, 40, (3, 24, 32)).astype(np.float32)
@@ -52,9 +58,7 @@ def test_samples_that_a_file_calls_lost_are_lost(tmp_path, burst, what):
     frames = burst.astype(np.int16)
     frames[1, 3:6, 4:9] = -1
     write(tmp_path / name, frames)
-    np.testing.assert_array_equal(np.isnan(read_frames(tmp_path / name).frames), frames == -1)
-    streamed = [np.ma.getmaskarray(each) for each in stream_frames(tmp_path / name)]
-    np.testing.assert_array_equal(streamed, frames == -1)
+    assert_lost(tmp_path / name, frames == -1)
 
 
 def test_unsigned_counts_of_netcdf_are_unsigned(tmp_path, burst):
@@ -67,18 +71,14 @@ def test_unsigned_counts_of_netcdf_are_unsigned(tmp_path, burst):
 def test_a_fill_value_far_from_all_else_is_lost(tmp_path, celsius, value):
     celsius[1, :4] = value
     np.save(tmp_path / "a.npy", celsius)
-    np.testing.assert_array_equal(np.isnan(read_frames(tmp_path / "a.npy").frames), celsius == celsius[1, 0, 0])
-    streamed = [np.ma.getmaskarray(frame) for frame in stream_frames(tmp_path / "a.npy")]
-    np.testing.assert_array_equal(streamed, celsius == celsius[1, 0, 0])
+    assert_lost(tmp_path / "a.npy", celsius == celsius[1, 0, 0])
 
 
 def test_the_largest_count_far_from_all_others_is_lost_in_whichever_frame(tmp_path):
     counts = np.random.default_rng(0).integers(7000, 9000, (3, 24, 32)).astype(np.uint16)
     counts[1, 5:9] = 65535
     np.savez(tmp_path / "a.npz", frames=counts)
-    np.testing.assert_array_equal(np.isnan(read_frames(tmp_path / "a.npz").frames), counts == 65535)
-    streamed = [np.ma.getmaskarray(frame) for frame in stream_frames(tmp_path / "a.npz")]
-    np.testing.assert_array_equal(streamed, counts == 65535)
+    assert_lost(tmp_path / "a.npz", counts == 65535)
 
 
 def test_values_among_the_others_are_values(celsius):

@@ -89,11 +89,17 @@ def test_a_file_without_the_cameras_record_says_nothing(tmp_path, burst):
 
 
 @pytest.mark.parametrize(
-    ("name", "mean"), [("aqua_tower", 263.58693), ("example", 302.19534), ("moving_car", 277.42092)]
+    ("name", "counts", "mean"),
+    [
+        ("aqua_tower", 12614.372716049384, 263.58693),
+        ("example", 13107.4361328125, 302.19534),
+        ("moving_car", 15031.2069140625, 277.42092),
+    ],
 )
-def test_real_pictures_have_the_temperatures_that_flyr_finds(data, name, mean):
-    """Means by flyr 5.1.0 at a distance of zero: its model of the air is another one."""
+def test_real_pictures_have_the_counts_and_temperatures_that_flyr_finds(data, name, counts, mean):
+    """Means by flyr 5.1.0, of temperatures at a distance of zero: its model of the air is another one."""
     read = read_frames(data / "radiometric_jpg" / f"flir_{name}_cc0.jpg")
+    assert read.frames.mean(dtype=np.float64) == pytest.approx(counts, rel=1e-9)
     without_air = dataclasses.replace(read.radiometry, transmission=1.0)
     assert without_air.kelvin(read.frames).mean(dtype=np.float64) == pytest.approx(mean, abs=1e-4)
     assert read.radiometry.kelvin(read.frames).mean() == pytest.approx(mean, abs=0.5)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import tifffile
+from recordings import assert_read
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
@@ -21,8 +22,7 @@ def test_swapped_bytes_are_named_with_the_setting_that_mends_them(tmp_path, fram
     for read in (read_frames, lambda path: list(stream_frames(path))):
         with pytest.raises(DataError, match=r"look swapped.*data\.swap_bytes=true swaps them"):
             read(tmp_path / "a.tif")
-    np.testing.assert_array_equal(read_frames(tmp_path / "a.tif", swap_bytes=True).frames, frames)
-    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.tif", swap_bytes=True)), frames)
+    assert_read(tmp_path / "a.tif", frames, swap_bytes=True)
     assert read_frames(tmp_path / "a.tif", swap_bytes=False).frames[0, 0, 0] == frames.byteswap()[0, 0, 0]
 
 
@@ -61,9 +61,8 @@ def test_right_samples_are_not_taken_for_swapped_ones(frames, change):
 def test_counts_that_have_become_negative_are_read_as_they_were(tmp_path, frames, caplog):
     high = (frames.astype(int) - int(np.median(frames)) + 2**15).astype(np.uint16)
     np.save(tmp_path / "a.npy", high.view(np.int16))
-    np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, high)
+    assert_read(tmp_path / "a.npy", high)
     assert "counts above 32767 are stored as negative ones" in caplog.text
-    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npy")), high)
 
 
 def test_signed_numbers_stay_signed(frames):
@@ -77,8 +76,7 @@ def test_signed_numbers_stay_signed(frames):
 def test_counts_below_zero_that_have_become_large_are_read_as_they_were(tmp_path, frames, caplog, share):
     low = frames.astype(int) - int(np.quantile(frames, share))
     np.save(tmp_path / "a.npy", low.astype(np.uint16))
-    np.testing.assert_array_equal(read_frames(tmp_path / "a.npy").frames, low)
-    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npy")), low)
+    assert_read(tmp_path / "a.npy", low)
     assert "counts below zero are stored as large ones" in caplog.text
 
 
@@ -93,12 +91,9 @@ def test_bytes_between_and_after_frames_are_skipped(tmp_path, frames):
     (tmp_path / "a.raw").write_bytes(b"".join(each.tobytes() + b"12345" for each in frames) + b"end")
     with pytest.raises(DataError, match=r"data\.raw\.trailer="):
         read_frames(tmp_path / "a.raw", raw=Raw(width=64, height=48))
-    layout = Raw(width=64, height=48, gap=5, trailer=3)
-    np.testing.assert_array_equal(read_frames(tmp_path / "a.raw", raw=layout).frames, frames)
-    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.raw", raw=layout)), frames)
+    assert_read(tmp_path / "a.raw", frames, raw=Raw(width=64, height=48, gap=5, trailer=3))
     (tmp_path / "b.raw").write_bytes(frames[0].tobytes() + b"end")
-    layout = Raw(width=64, height=48, trailer=3)
-    np.testing.assert_array_equal(read_frames(tmp_path / "b.raw", raw=layout).frames, frames[:1])
+    assert_read(tmp_path / "b.raw", frames[:1], raw=Raw(width=64, height=48, trailer=3))
 
 
 @pytest.mark.parametrize(("width", "height"), [(48, 64), (128, 24), (96, 32), (64, 48)])
@@ -116,8 +111,7 @@ def test_a_turned_array_is_asked_for_with_the_setting_that_reads_it(tmp_path, fr
     for read in (read_frames, lambda path: list(stream_frames(path))):
         with pytest.raises(DataError, match=f"or {count} frames counted along another axis.*data.axes={axes} "):
             read(tmp_path / "a.npz")
-    np.testing.assert_array_equal(read_frames(tmp_path / "a.npz", axes=axes).frames, some)
-    np.testing.assert_array_equal(list(stream_frames(tmp_path / "a.npz", axes=axes)), some)
+    assert_read(tmp_path / "a.npz", some, axes=axes)
 
 
 @pytest.mark.parametrize("moving", [True, False])

@@ -14,8 +14,8 @@ import tifffile
 from PIL import Image
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from deepir.io.output.tone_mapping import apply_palette, percentile
 from deepir.io.radiometry import Linear
+from deepir.io.tone_mapping import apply_palette, percentile
 from deepir.live.page import views
 from deepir.live.page.server import serve
 from deepir.live.sources import play

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepir.io.output.tone_mapping import COLOURS, DEVIATIONS, SIGNED, WHITE_HOT, colour_table
+from deepir.io.tone_mapping import COLOURS, DEVIATIONS, SIGNED, WHITE_HOT, colour_table
 from deepir.report.drawing import (
     MISSING_COLOUR,
     Axes,

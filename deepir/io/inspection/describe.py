@@ -6,10 +6,18 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.io.frames import Frames
-from deepir.io.inspection.checks import has_neighbours, unrecorded_samples, unusable_frames
+from deepir.io.inspection.checks import (
+    has_neighbours,
+    telemetry_message,
+    telemetry_rows,
+    torn_frames,
+    torn_message,
+    unrecorded_samples,
+    unusable_frames,
+)
 from deepir.io.inspection.samples import FULL_SCALE_COUNTS, drawn_message, drawn_pixels
-from deepir.io.inspection.telemetry import telemetry_message, telemetry_rows, torn_frames, torn_message
 from deepir.io.radiometry import ZERO_CELSIUS
 
 Array = np.ndarray[Any, np.dtype[np.float32]]
@@ -140,7 +148,7 @@ def temporal_noise(frames: Array) -> float:
         d = second - first
         detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
     detail = np.abs(detail[np.isfinite(detail)])
-    return float(1.4826 * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+    return float(MAD_TO_SIGMA * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:

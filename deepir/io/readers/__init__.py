@@ -5,10 +5,12 @@ from __future__ import annotations
 import difflib
 import functools
 import importlib
+import itertools
 import pkgutil
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -66,7 +68,7 @@ class Reader:
         return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
-        """The same frame by frame, or in larger pieces."""
+        """The stored array frame by frame, or in larger pieces."""
         yield self.read(path, key)
 
     def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
@@ -74,7 +76,7 @@ class Reader:
         return None
 
     def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
-        """That of each frame, where they may differ."""
+        """Conversion of counts to kelvin, of each frame where they may differ."""
         return [self.radiometry(path, key)]
 
     def samples_file(self, path: Path) -> Path:
@@ -109,8 +111,60 @@ def find_reader(path: Path) -> Reader | None:
         return next((reader for reader in all_readers() if reader.sniff(head, path)), None)
 
 
-def known_reader(path: Path) -> Reader:
-    """The same; `DataError` if there is none."""
+@dataclass(frozen=True)
+class Recording:
+    """A file, a folder or a glob with its reader. Whatever cannot be read is a `DataError`.
+
+    Attributes:
+        path: The file, folder or glob.
+        reader: Of its format.
+        key: Name of the array in a file that holds several.
+    """
+
+    path: Path
+    reader: Reader
+    key: str | None = None
+
+    @property
+    def source(self) -> str:
+        """The file, and the array in it that was asked for, for messages."""
+        return f"{self.path}[{self.key}]" if self.key else str(self.path)
+
+    def read(self) -> Array:
+        """The stored array."""
+        with decoding(self.path):
+            return self.reader.read(self.path, self.key)
+
+    def stream(self) -> Iterator[Array]:
+        """The stored array in pieces: frames (h, w), or several at a time."""
+        pieces = self.reader.stream(self.path, self.key)
+        for count in itertools.count():
+            with decoding(self.path):  # not around the loop: errors of the caller pass
+                piece = next(pieces, None)
+            if piece is None and count == 0:
+                raise DataError(f"{self.path}: a recording without frames")
+            if piece is None:
+                return
+            yield piece
+
+    def radiometry(self) -> Radiometry | None:
+        """Conversion of counts to kelvin, of the first frame; None if the file does not say."""
+        with decoding(self.path):
+            return self.reader.radiometry(self.path, self.key)
+
+    def radiometries(self) -> list[Radiometry | None]:
+        """Radiometry of each frame; a single entry if it is that of all frames."""
+        with decoding(self.path):
+            found = self.reader.radiometries(self.path, self.key)
+        return found if len(set(found)) > 1 else found[:1]
+
+
+def opened(path: Path, key: str | None = None) -> Recording:
+    """A recording of the format that its contents show; `key` names the array in a file that holds several.
+
+    Raises:
+        DataError: It is of no known format, or cannot be opened.
+    """
     if (reader := find_reader(path)) is None:
         if path.suffix.lower() in suffixes():
             raise DataError(f"{path}: it does not begin as a {path.suffix} file does: damaged, or of another format")
@@ -119,73 +173,13 @@ def known_reader(path: Path) -> Reader:
             "Save it as .npz with an array `frames` (frames, height, width); a file of bare samples needs "
             "data.raw.width=... data.raw.height=..."
         )
-    return reader
+    return Recording(path, reader, key)
 
 
 def samples_file(path: Path) -> Path:
     """The file that holds the samples of one: another one where a header was named."""
     reader = find_reader(path)
     return path if reader is None else reader.samples_file(path)
-
-
-def read(path: Path, key: str | None = None, reader: Reader | None = None) -> Array:
-    """The stored array of a file, a folder or a glob.
-
-    Args:
-        path: The file, folder or glob.
-        key: Name of the array in a file that holds several.
-        reader: None: the one that recognises the contents.
-
-    Raises:
-        DataError: The file cannot be read.
-    """
-    reader = reader or known_reader(path)
-    with decoding(path):
-        return reader.read(path, key)
-
-
-def stream(path: Path, key: str | None = None, reader: Reader | None = None) -> Iterator[Array]:
-    """The stored array in pieces: frames (h, w), or several at a time.
-
-    Args: as those of `read`.
-
-    Raises:
-        DataError: As `read`, when the damaged piece is reached.
-    """
-    pieces = (reader or known_reader(path)).stream(path, key)
-    empty = True
-    while True:
-        with decoding(path):  # not around the loop: errors of the caller pass
-            piece = next(pieces, None)
-        if piece is None:
-            break
-        yield piece
-        empty = False
-    if empty:
-        raise DataError(f"{path}: a recording without frames")
-
-
-def radiometry(path: Path, key: str | None = None) -> Radiometry | None:
-    """Radiometry of a file, or of one of its arrays; None if it has none.
-
-    Raises:
-        DataError: As `read`.
-    """
-    reader = find_reader(path)
-    with decoding(path):
-        return None if reader is None else reader.radiometry(path, key)
-
-
-def radiometries(path: Path, key: str | None = None, reader: Reader | None = None) -> list[Radiometry | None]:
-    """Radiometry of each frame of a file; a single entry if it is that of all frames.
-
-    Raises:
-        DataError: As `read`.
-    """
-    reader = reader or known_reader(path)
-    with decoding(path):
-        found = reader.radiometries(path, key)
-    return found if len(set(found)) > 1 else found[:1]
 
 
 def can_be_frames(shape: tuple[int, ...]) -> bool:

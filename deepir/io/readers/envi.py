@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.file_bytes import read_samples, stream_planes
-from deepir.io.guards import masked
+from deepir.io.guards import masked, read_samples, stream_planes
 from deepir.io.readers import Array, Reader
 
 HEADER_MARK = b"ENVI"  # first bytes of a header

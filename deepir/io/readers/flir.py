@@ -15,8 +15,8 @@ import imagecodecs
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.file_bytes import FileBytes
-from deepir.io.guards import check_size, warn_once
+from deepir.io.guards import FileBytes, check_size, warn_once
+from deepir.io.inspection.samples import mean_step
 from deepir.io.radiometry import Planck, Radiometry, air_transmission
 from deepir.io.readers import Array, Reader, jpeg
 from deepir.io.readers.pictures import decode_png
@@ -233,11 +233,7 @@ def _in_order(plane: Array) -> Array:
     Most cameras write little-endian counts, against the standard, some do not. The median in the camera's record does
     not say which: on some it is a level that the user has set.
     """
-
-    def variation(counts: Array) -> float:
-        return float(np.abs(np.diff(counts.astype(np.float32))).mean()) if counts.shape[1] > 1 else 0.0
-
-    return min((plane.byteswap(), plane), key=variation)
+    return min((plane.byteswap(), plane), key=mean_step)
 
 
 def _jpeg_ls(packed: bytes, path: Path) -> Array:

@@ -39,7 +39,7 @@ class Folder(Reader):
         files, total = burst_files(path), 0
         for file in files:
             with _of(path):
-                frames = readers.read(file, key)
+                frames = readers.opened(file, key).read()
             stacks.append(frames if frames.ndim == 3 else frames[None])
             _check_alike(files[0], stacks[0], file, stacks[-1])
             total += frames.nbytes
@@ -51,20 +51,21 @@ class Folder(Reader):
         """Frame after frame, file after file."""
         for file in burst_files(path):
             with _of(path):
-                yield from readers.stream(file, key)
+                yield from readers.opened(file, key).stream()
 
     def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
         """Radiometry of the first picture."""
-        return readers.radiometry(burst_files(path)[0], key)
+        return readers.opened(burst_files(path)[0], key).radiometry()
 
     def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Radiometry of each frame of each picture."""
-        of_files = {file: readers.radiometries(file, key) for file in burst_files(path)}
-        if len({law for laws in of_files.values() for law in laws}) == 1:
-            return next(iter(of_files.values()))
+        files = [readers.opened(file, key) for file in burst_files(path)]
+        of_files = [file.radiometries() for file in files]
+        if len({law for laws in of_files for law in laws}) == 1:
+            return of_files[0]
         laws: list[Radiometry | None] = []
-        for file, own in of_files.items():
-            laws += own if len(own) > 1 else own * sum(1 for _ in readers.stream(file, key))
+        for file, own in zip(files, of_files, strict=True):
+            laws += own if len(own) > 1 else own * sum(1 for _ in file.stream())
         return laws
 
 

@@ -40,8 +40,7 @@ class Hdf5(Reader):
         Raises:
             DataError: Several arrays are possible, or the data are in other files.
         """
-        with _dataset(path, key) as (data, turned):
-            check_size(path, data.nbytes, path.stat().st_size, compressed=True)
+        with _dataset(path, key, at_once=True) as (data, turned):
             return _turned(_known(data[()], data.attrs), turned)
 
     def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
@@ -72,8 +71,8 @@ class Hdf5(Reader):
 
 
 @contextmanager
-def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
-    """The chosen array, unread, and whether it is MATLAB's."""
+def _dataset(path: Path, key: str | None, *, at_once: bool = False) -> Iterator[tuple[Any, bool]]:
+    """The chosen array, unread, and whether it is MATLAB's; `at_once`: it is going to be read as a whole."""
     library = import_optional("h5py", "hdf5", str(path))
     with path.open("rb") as stream:
         matlab = stream.read(len(MATLAB_SIGNATURE)) == MATLAB_SIGNATURE
@@ -85,7 +84,7 @@ def _dataset(path: Path, key: str | None) -> Iterator[tuple[Any, bool]]:
             if data.is_virtual or data.external:
                 raise DataError(f"{path}: {name} keeps its values in other files, which are never opened")
             compressed = data.chunks is not None
-            check_size(path, data.nbytes, path.stat().st_size, compressed=compressed, at_once=False)
+            check_size(path, data.nbytes, path.stat().st_size, compressed=compressed, at_once=at_once)
             yield data, matlab
 
 

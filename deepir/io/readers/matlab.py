@@ -11,8 +11,7 @@ import numpy as np
 import scipy.io
 
 from deepir.errors import DataError
-from deepir.io.file_bytes import FileBytes
-from deepir.io.guards import check_size
+from deepir.io.guards import FileBytes, check_size
 from deepir.io.readers import Array, Reader, can_be_frames, choose_array
 
 MATLAB_5 = b"MATLAB 5.0 MAT-file"
@@ -92,13 +91,7 @@ def _check_elements(path: Path) -> None:
 
 
 def _check_array(head: bytes, order: str, path: Path) -> None:
-    """Check the flags of an array and the type of its values.
-
-    Args:
-        head: The first bytes of the array's element, without its tag.
-        order: Byte order, as `struct` has it.
-        path: The file, for messages.
-    """
+    """Check the flags of an array and the type of its values, by the first bytes of its element without the tag."""
     if len(head) < 2 * TAG_BYTES:
         return  # an empty array
     (flags,) = struct.unpack_from(f"{order}I", head, TAG_BYTES)

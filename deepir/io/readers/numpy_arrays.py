@@ -13,9 +13,8 @@ import numpy as np
 from numpy.lib import format as npy_format
 
 from deepir.errors import DataError
-from deepir.io.file_bytes import read_planes
-from deepir.io.guards import check_size
-from deepir.io.readers import Array, Reader, choose_array
+from deepir.io.guards import check_size, read_planes
+from deepir.io.readers import Array, Reader, choose_array, decoding, find_reader
 
 MAX_HEADER_BYTES = 10_000  # that NumPy parses
 Header = tuple[tuple[int, ...], bool, np.dtype[Any]]
@@ -64,10 +63,18 @@ class Npz(Reader):
             with archive.open(info) as member:
                 yield from _stream_array(member, path, info.file_size)
 
-    def read_all(self, path: Path) -> dict[str, Array]:
-        """Every array of the archive by its name."""
+
+def read_npz(path: Path) -> dict[str, Array] | None:
+    """Every array of an `.npz` by its name; None if the file is another one.
+
+    Raises:
+        DataError: It cannot be read.
+    """
+    with decoding(path):
+        if not isinstance(find_reader(path), Npz):
+            return None
         with zipfile.ZipFile(path) as archive:
-            return {n: _read_member(archive, info, path) for n, info in _members(archive, path).items()}
+            return {name: _read_member(archive, info, path) for name, info in _members(archive, path).items()}
 
 
 def _header(stream: IO[bytes], path: Path) -> Header:

@@ -15,8 +15,7 @@ import tifffile
 
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
-from deepir.io.file_bytes import FileBytes, stream_planes
-from deepir.io.guards import check_size, masked, to_grey
+from deepir.io.guards import FileBytes, check_size, masked, stream_planes, to_grey
 from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array, Reader
 
@@ -74,13 +73,7 @@ class Tiff(Reader):
                 if description.get("unit") == "K":
                     return KELVIN
                 return resolve_radiometry(None, schema.Radiometry(**description["radiometry"]))
-            except (
-                ValueError,
-                TypeError,
-                KeyError,
-                AttributeError,
-                ConfigError,
-            ):  # anybody else's description
+            except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
                 return None
 
 

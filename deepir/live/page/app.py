@@ -20,8 +20,8 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from deepir.io.output.tone_mapping import PALETTES, TONE_MAPPINGS
 from deepir.io.radiometry import unit_metadata
+from deepir.io.tone_mapping import PALETTES, TONE_MAPPINGS
 from deepir.live.page.views import Session, ViewerRequest, png, respond, swatch, tiff
 from deepir.live.sources import CorrectedFrame
 from deepir.report.html import WEB_FOLDER, json_for_html

@@ -13,7 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from deepir.arrays.samples import as_float32
 from deepir.config.schema import Palette, Tones
-from deepir.io.output.tone_mapping import (
+from deepir.io.output import save_tiff, to_json_types
+from deepir.io.radiometry import Radiometry, unit_metadata
+from deepir.io.tone_mapping import (
     PERCENTILE,
     TONE_MAPPINGS,
     WHITE_HOT,
@@ -22,8 +24,6 @@ from deepir.io.output.tone_mapping import (
     display_limits,
     stretch,
 )
-from deepir.io.output.write import save_tiff, to_json_types
-from deepir.io.radiometry import Radiometry, unit_metadata
 from deepir.live.corrector import Corrector
 from deepir.live.recorder import Recorder
 from deepir.live.sources import CorrectedFrame

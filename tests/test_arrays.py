@@ -1,9 +1,11 @@
-"""A few samples stand for all."""
+"""A few samples stand for all; samples as float32."""
 
+import numpy as np
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepir.arrays.samples import as_float32
 from deepir.arrays.statistics import MAX_SAMPLES_PER_FRAME, masked_values, median, median_sigma, subsample
 
 
@@ -44,3 +46,10 @@ def test_the_median_of_many_is_torch_s(values, times):
 def test_those_that_count_are_in_order():
     values, counts = torch.rand(3, 4, 5), torch.rand(3, 4, 5) > 0.5
     assert torch.equal(masked_values(values, counts), values[counts])
+
+
+def test_masked_samples_are_nan_and_the_frame_is_copied():
+    frame = np.ma.masked_equal(np.array([[7, 0], [65535, 9]], np.uint16), 0)
+    assert np.array_equal(as_float32(frame), np.array([[7, np.nan], [65535, 9]], np.float32), equal_nan=True)
+    plain = np.ones((2, 2), np.float32)
+    assert not np.shares_memory(as_float32(plain), plain)

@@ -1,4 +1,4 @@
-"""What a burst shows of the camera, before a solve."""
+"""Jitter and number of frames: statistics of a pattern, and how well a burst separates it from the scene."""
 
 from __future__ import annotations
 

@@ -1,1 +1,0 @@
-"""Writing files: results, recordings, tone-mapped pictures."""
