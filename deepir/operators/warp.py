@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import torch
 from scipy.fft import next_fast_len
@@ -36,6 +37,8 @@ class Warp(Operator):
     canvas_from_frame: Tensor
     noise_gain = NOISE_GAIN
     moves = True
+    example_shape = (1, 1, 11, 12)
+    example_options: ClassVar = {"size": (6, 7), "canvas": (11, 12), "origin": (2, 3)}
 
     def __init__(
         self,
@@ -150,14 +153,13 @@ class Warp(Operator):
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three frames of 6 x 7 px on a canvas of 11 x 12."""
-        generator = torch.Generator().manual_seed(0)
-        jitter = 0.05 * torch.rand(3, 3, 3, generator=generator, dtype=torch.float64)
+        """Three frames of 6 x 7 px on a canvas of 11 x 12, with motions of a px or so."""
+        operator, x, slots = super().example()
+        jitter = 0.05 * slots["motion"]
         jitter[:, :2, 2] *= 20
         jitter[:, 2] *= 0.02
         jitter[:, 2, 2] = 0
-        x = torch.rand(1, 1, 11, 12, generator=generator, dtype=torch.float64)
-        return cls((6, 7), (11, 12), (2, 3)), x, {"motion": torch.eye(3, dtype=torch.float64) + jitter}
+        return operator, x, slots | {"motion": torch.eye(3, dtype=torch.float64) + jitter}
 
 
 def _without_nan(motion: Tensor) -> Tensor:
