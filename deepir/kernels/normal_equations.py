@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
-from deepir.kernels.threads import DETERMINANTS_PER_LOG
 
+#: Determinants that are multiplied before one logarithm is taken.
+DETERMINANTS_PER_LOG = 8
 #: Rows of a band, the unit of parallel work.
 ROWS_PER_BAND = 32
 #: Pixels whose sums stay in the cache.

@@ -35,16 +35,14 @@ class Geometry:
 
 def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
     """Geometry of a chain for frames of `size` (h, w) and a scene (H, W)."""
-    stages = [stage for _, stage in chain.named()]
-    first, later = stages[0], Chain(dict(chain.named()[1:]))
-    rest = later if isinstance(first, Warp) else chain
+    (_, first), *later = chain.named()
+    rest = Chain(dict(later)) if isinstance(first, Warp) else chain
     near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
     if near == far:  # the data are no pictures of the scene, but measurements of it, such as those of a single pixel
         return Geometry(1.0, (0, scene[0], 0, scene[1]))
     ratio = (far[0] - near[0]) / size[0]
     height, width = round(ratio * size[0]), round(ratio * size[1])
-    y0, x0 = first.origin if isinstance(first, Warp) else (0, 0)
-    inner = near if isinstance(first, Warp) else scene
+    (y0, x0), inner = (first.origin, near) if isinstance(first, Warp) else ((0, 0), scene)
     y0, x0 = y0 + (inner[0] - height) // 2, x0 + (inner[1] - width) // 2
     return Geometry(ratio, (int(y0), int(y0) + height, int(x0), int(x0) + width))
 

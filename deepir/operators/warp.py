@@ -9,11 +9,13 @@ import torch
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from deepir.kernels.threads import MAX_ENTRY, MIN_DEPTH, is_compiled
+from deepir.kernels.threads import MIN_DEPTH, is_compiled
 from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.operators.bspline import MIN_CANVAS_SIDE, NOISE_GAIN, SplineWarp, sample, to_pixels, warp_adjoint
 from deepir.registry import register
 
+#: Largest entry of a motion: beyond, coordinates overflow in float32.
+MAX_ENTRY = 1e6
 #: Width of the canvas beyond the footprints of the frames, px.
 CANVAS_MARGIN = 8
 EVERY_FRAME = Trajectory()
