@@ -326,10 +326,8 @@ class PixelEquationsCPU(PixelEquations):
         from deepir.kernels.compile import parallel_for
         from deepir.kernels.normal_equations import back_substitute
 
-        errors, values = (
-            torch.empty_like(self.row_sums[3:]),
-            self.maps.new_empty(2, *self.maps.shape[1:], dtype=self.dtype),
-        )
+        errors = torch.empty_like(self.row_sums[3:])
+        values = torch.empty_like(self.maps[3:], dtype=self.dtype)
         before = (columns.contiguous(), self.row_sums[3:], weights, *(each.contiguous() for each in smooth))
         parallel_for(back_substitute, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
         return errors, values
