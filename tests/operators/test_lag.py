@@ -138,24 +138,6 @@ def test_a_sample_is_valid_if_its_pixel_has_seen_only_what_is_in_the_canvas():
     assert lag.valid(mask, tau=torch.zeros(1, 1, 1, 1), moving=REST).flatten().tolist() == [1, 1, 0, 0]
 
 
-def test_instants_that_do_not_fit_the_sub_steps_are_refused():
-    with pytest.raises(ValueError, match="lag: 6 instants are not 4 for each frame and one to begin with"):
-        Lag(FPS)(torch.rand(6, 1, 1, 1), tau=torch.zeros(1, 1, 1, 1), moving=REST)
-
-
-@pytest.mark.parametrize(
-    ("rate", "options", "message"),
-    [
-        (None, {}, "the rate of the frames is needed, for example data.fps=60"),
-        (FPS, {"substeps": 0}, "substeps must be 1 to 100, not 0"),
-        (FPS, {"readout": 1.5}, "readout must be 0 to 1, not 1.5"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(rate, options, message):
-    with pytest.raises(ValueError, match=message):
-        Lag(rate, **options)
-
-
 def test_the_instants_are_those_that_the_lag_asks_for():
     assert Lag(FPS, substeps=6).trajectory == Trajectory(6, n_before=6)
 

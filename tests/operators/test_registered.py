@@ -9,7 +9,7 @@ from scipy import signal
 from scipy.interpolate import BSpline
 from skimage.measure import block_reduce
 
-from deepir.operators import Blur, Downsample, Operator, Sensor
+from deepir.operators import Blur, Downsample, Lag, Operator, Sensor, Warp
 from deepir.registry import components
 from deepir.testing import check_operator
 
@@ -136,8 +136,6 @@ def test_a_downsampling_that_is_not_whole_integrates_parts_of_pixels():
 
     _, x, _ = Downsample.example()
     check_operator(Downsample(factor=1.5), x, {}, reference=reference)
-    with pytest.raises(ValueError, match="crop the frames to sides that are multiples of 2"):
-        Downsample(factor=1.5).in_size((7, 8))
 
 
 def test_a_blur_may_be_of_each_frame():
@@ -201,16 +199,7 @@ def test_downsample_takes_any_integer_factor(factor):
     assert np.allclose(Downsample(factor=factor)(x), wanted)
 
 
-def test_downsample_refuses_sides_that_do_not_divide():
-    with pytest.raises(ValueError, match="21 x 30 is no multiple"):
-        Downsample(factor=2)(torch.rand(1, 1, 21, 30))
-    with pytest.raises(ValueError, match="1 to 8, not 0"):
-        Downsample(factor=0)
-
-
-def test_blur_has_a_radius_and_takes_several_channels():
-    with pytest.raises(ValueError, match="radius must be 0 to 100 px"):
-        Blur(radius=-1)
+def test_blur_takes_several_channels():
     x, psf = torch.rand(2, 3, 6, 7, dtype=torch.float64), torch.rand(1, 1, 3, 3, dtype=torch.float64)
     assert np.allclose(Blur(radius=1)(x, psf=psf), blur(x.numpy(), {"psf": psf.numpy()}))
 
@@ -225,3 +214,24 @@ def test_the_sensor_of_neutral_slots_changes_nothing():
     x = torch.rand(3, 1, 4, 5)
     shapes = Sensor().slots(x.shape, 3)
     assert torch.equal(Sensor()(x, **{n: torch.full(s, Sensor.neutral[n]) for n, s in shapes.items()}), x)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: Downsample(factor=2)(torch.rand(1, 1, 21, 30)), "21 x 30 is no multiple"),
+        (lambda: Downsample(factor=0), "1 to 8, not 0"),
+        (lambda: Downsample(factor=1.5).in_size((7, 8)), "crop the frames to sides that are multiples of 2"),
+        (lambda: Blur(radius=-1), "radius must be 0 to 100 px"),
+        (lambda: Lag(None), "the rate of the frames is needed, for example data.fps=60"),
+        (lambda: Lag(60.0, substeps=0), "substeps must be 1 to 100, not 0"),
+        (lambda: Lag(60.0, readout=1.5), "readout must be 0 to 1, not 1.5"),
+        (lambda: Lag(60.0)(torch.rand(6, 1, 1, 1)), "lag: 6 instants are not 4 for each frame and one to begin with"),
+        (lambda: Warp((3, 4), (5, 3), (1, 0)), "less than 4"),
+        (lambda: Warp((3, 4), (5, 5), (1, 0))(torch.rand(1, 1, 5, 6), motion=torch.eye(3)[None]), "the canvas is"),
+        (lambda: Warp((3, 4), (5, 5), (1, 0))(torch.rand(2, 1, 5, 5), motion=torch.eye(3).repeat(3, 1, 1)), "2 scenes"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong()
