@@ -15,7 +15,6 @@ from deepir.arrays.statistics import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
-from deepir.operators import Sensor
 from deepir.operators.motion_models import displacement_at
 from deepir.optim.low_order_model import (
     MIN_CURVATURE_RATIO,
@@ -49,7 +48,7 @@ def has_fourier_model(problem: Problem) -> bool:
     """
     first, *others = (stage for _, stage in problem.operator.named())
     local = all(stage.pointwise or stage.temporal for stage in others)
-    seen = first.moves and local and bool(others) and isinstance(others[-1], Sensor)
+    seen = first.moves and local and bool(others) and problem.sensor is not None
     several = len(problem.data) > 1 and problem.data.shape[1] == 1
     return seen and several and isinstance(problem.fields["scene"], Pixels)
 
