@@ -13,7 +13,7 @@ from deepir.operators import Blur, Downsample, Lag, Operator, Sensor, Warp
 from deepir.registry import components
 from deepir.testing import check_operator
 
-OPERATORS, NUMBERS = components("operator"), itertools.count(1)
+OPERATORS, NUMBERS = components("operator"), itertools.count()
 
 
 def warp(x, slots):
