@@ -9,7 +9,6 @@ import torch
 from torch import Tensor, nn
 
 from deepir.fields.base import Field
-from deepir.operators import Sensor
 from deepir.priors.penalties.base import Penalty
 from deepir.problem import Problem, Samples, Values
 
@@ -181,7 +180,7 @@ AnyProblem = Problem | JointProblem
 
 def _sensor_fields(problem: Problem) -> tuple[Field, ...]:
     """Gain and offset of a sensor that ends the operator; () without one."""
-    if not isinstance(problem.operator.named()[-1][1], Sensor):
+    if problem.sensor is None:
         return ()
     unknowns = problem.sensor_unknowns()
     return problem.fields[unknowns["gain"]], problem.fields[unknowns["offset"]]

@@ -155,9 +155,14 @@ class Problem(nn.Module):
 
     def slot(self, kind: type[Operator], slot: str) -> str:
         """The name of a slot of the first stage of a kind; "" if there is none."""
-        stages = [name for name, stage in self.operator.named() if isinstance(stage, kind)]
-        name = f"{stages[0]}.{slot}" if stages else ""
-        return name if name in self.slots else ""
+        names = (f"{name}.{slot}" for name, stage in self.operator.named() if isinstance(stage, kind))
+        return next((name for name in names if name in self.slots), "")
+
+    @property
+    def sensor(self) -> Sensor | None:
+        """The sensor, where it is the last stage."""
+        last = self.operator.named()[-1][1]
+        return last if isinstance(last, Sensor) else None
 
     def sensor_unknowns(self) -> dict[str, str]:
         """The unknowns of `gain`, `offset` and `level` of the sensor; empty without one."""
@@ -257,7 +262,7 @@ class Problem(nn.Module):
 
     def misfit(self, values: Values, eliminated: Collection[str], precision: Tensor) -> Tensor:
         """Negative log-likelihood of the data, in nats; the `data` term of `losses`."""
-        if not isinstance(self.operator.named()[-1][1], Sensor):
+        if self.sensor is None:
             return self.fidelity(self.predict(values), self.data, precision)
         flux = self.flux(values)
         if not eliminated:
@@ -275,10 +280,9 @@ class Problem(nn.Module):
         """The same given the flux on a sensor that is the last stage; see `sensor_least_squares` for `log_det`."""
         name, last = self.operator.named()[-1]
         slots = slots_of(self._slot_values(values), name)
-        moves = slots["gain"].requires_grad or slots["offset"].requires_grad
-        if isinstance(self.fidelity, Gaussian) and not moves:
-            sensor = (slots["gain"], slots["offset"], slots["level"])
-            return sensor_least_squares(flux, self.data, precision, sensor, log_det)
+        gain, offset, level = (slots[kind] for kind in ("gain", "offset", "level"))
+        if isinstance(self.fidelity, Gaussian) and not (gain.requires_grad or offset.requires_grad):
+            return sensor_least_squares(flux, self.data, precision, (gain, offset, level), log_det)
         return self.fidelity(last(flux, **slots), self.data, precision)
 
     def alive(self) -> Tensor:
@@ -288,23 +292,19 @@ class Problem(nn.Module):
 
     def free(self) -> list[str]:
         """Unknowns with parameters that are not fixed."""
-        return [
-            name
-            for name, field in self.fields.items()
-            if any(p.requires_grad and p.numel() for p in field.parameters())
-        ]
+        moving = {name: [p for p in field.parameters() if p.requires_grad] for name, field in self.fields.items()}
+        return [name for name, parameters in moving.items() if any(p.numel() for p in parameters)]
 
     def closed_form(self) -> list[str]:
         """Unknowns with an optimum in closed form: Gaussian gain and offset of a sensor that ends the operator.
 
         None of frames of several channels: these move by L-BFGS along with the rest.
         """
-        name, last = self.operator.named()[-1]
-        if not (isinstance(last, Sensor) and self.fidelity.quadratic and self.data.shape[1] == 1):
+        if self.sensor is None or not self.fidelity.quadratic or self.data.shape[1] > 1:
             return []
-        unknowns = [self.slots[f"{name}.{slot}"] for slot in ("gain", "offset")]
-        free = [each for each in unknowns if each in self.free() and each not in self.penalties]
-        return [each for each in free if self.fields[each].parts()]
+        gain_and_offset, free = list(self.sensor_unknowns().values())[:2], self.free()
+        mine = [each for each in gain_and_offset if each in free and each not in self.penalties]
+        return [each for each in mine if self.fields[each].parts()]
 
     def valid(self, values: Values) -> Tensor:
         """Samples that are computed from the scene's array alone, bool (N, C, h, w): by geometry."""

@@ -26,7 +26,7 @@ COMPONENT_MODULES = {
         "deepir.baselines",
     ],
     "operator": ["deepir.operators"],
-    "field": ["deepir.fields", "deepir.fields.psf", "deepir.priors.networks"],
+    "field": ["deepir.fields", "deepir.priors.networks"],
     "penalty": ["deepir.priors.penalties"],
     "denoiser": ["deepir.denoisers"],
     "fidelity": ["deepir.likelihoods"],

@@ -10,7 +10,7 @@ import torch
 import deepir
 from deepir.errors import ConfigError, DataError
 from deepir.operators import Downsample, Warp
-from deepir.operators.bspline import to_pixels
+from deepir.operators.warp import to_pixels
 from deepir.simulate.scenes.procedural import procedural
 from deepir.storage.stored import resume
 

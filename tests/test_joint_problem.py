@@ -14,6 +14,7 @@ from deepir.optim.solve import solve
 from deepir.priors.penalties.distance import Ridge
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
+from deepir.storage.stored import FileCheckpoint
 
 H, W = 5, 6
 SHAPE = (1, 1, H, W)
@@ -53,8 +54,7 @@ def dense(joint):
     z, y, w = (torch.cat(parts).detach().numpy().reshape(-1, H * W) for parts in zip(*each, strict=True))
     columns, pixels = np.tile(np.eye(W), (H, 1)), np.eye(H * W)
     spread = {
-        "gain": np.hstack([0.1 * columns, 0.05 * pixels]),
-        "offset": np.hstack([0.8 * columns, 0.4 * pixels]),
+        name: np.hstack([2 * sigma * columns, sigma * pixels]) for name, sigma in (("gain", 0.05), ("offset", 0.4))
     }
     design = np.vstack([np.hstack([z_k[:, None] * spread["gain"], spread["offset"]]) for z_k in z])
     root = np.sqrt(w.ravel())
@@ -122,20 +122,12 @@ def test_a_gain_beside_offsets_that_differ_has_no_closed_form():
     assert not torch.equal(values["offset"], values["second_offset"])
 
 
-def test_a_solve_goes_on_from_where_it_was_kept(joint):
+def test_a_solve_goes_on_from_where_it_was_kept(joint, tmp_path):
     plan = [Stage("joint", (Step(("scene", "second_scene")), Step(SENSOR, "eliminate")), 5)]
-    kept = {}
-
-    class Kept:
-        def save(self, tensors, position):
-            kept.update(tensors={name: each.clone() for name, each in tensors.items()}, position=position)
-
-        def load(self):
-            return kept["tensors"], kept["position"]
-
-    save_state(joint, [], Position(stage=1), Kept())
+    kept = FileCheckpoint(tmp_path / "state.safetensors")
+    save_state(joint, [], Position(stage=1), kept)
     before = {name: value.detach().clone() for name, value in joint.values().items()}
     solve(joint, plan)
     assert not torch.equal(joint.values()["gain"], before["gain"])
-    restore_state(joint, plan, Kept())
+    restore_state(joint, plan, kept)
     assert all(torch.equal(value, before[name]) for name, value in joint.values().items())

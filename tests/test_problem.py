@@ -14,15 +14,10 @@ from deepir.problem import Problem
 SHAPE = (1, 1, 6, 7)
 
 
-def sensor_problem(gain=None, offset=None, data=None, penalties=None, **more):
-    fields = {
-        "scene": Pixels(SHAPE),
-        "gain": gain or Pixel(SHAPE, 1.0, sigma=0.1),
-        "offset": offset or Pixel(SHAPE, 0.0, sigma=1.0),
-        "level": Constant((2, 1, 1, 1)),
-    }
-    data = torch.rand(2, 1, 6, 7) if data is None else data
-    return Problem(Chain({"sensor": Sensor()}), fields, data, torch.ones_like(data), penalties=penalties, **more)
+def sensor_problem(gain=None, **more):
+    gain = gain or Pixel(SHAPE, 1.0, sigma=0.1)
+    fields = {"scene": Pixels(SHAPE), "gain": gain, "offset": Pixel(SHAPE, 0.0, sigma=1.0)}
+    return Problem(Sensor(), fields, torch.rand(2, 1, 6, 7), **more)
 
 
 def test_the_terms_are_named_and_add_up(small_nuc):
@@ -37,10 +32,8 @@ def test_the_terms_are_named_and_add_up(small_nuc):
 
 
 def test_penalties_stack_on_any_unknown():
-    penalties = {
-        "gain": {"near": Ridge(weight=2.0, center=1.0), "far": Ridge(weight=3.0)},
-        "scene": {"r": Ridge()},
-    }
+    gain = {"near": Ridge(weight=2.0, center=1.0), "far": Ridge(weight=3.0)}
+    penalties = {"gain": gain, "scene": {"r": Ridge()}}
     terms = sensor_problem(penalties=penalties).losses(sensor_problem().values())
     assert {"gain.near", "gain.far", "scene.r"} <= terms.keys()
     assert float(terms["gain.near"].detach()) == 0
@@ -146,15 +139,13 @@ def test_the_average_puts_shifted_frames_on_top_of_each_other():
     scene = torch.full((1, 1, 12, 14), 0.7)
     motion = torch.eye(3).repeat(3, 1, 1)
     motion[1:, :2, 2] = torch.tensor([[2.0, -1.0], [-1.0, 2.0]])
-    gain, offset = 0.5 + torch.rand(SHAPE), torch.rand(SHAPE)
     level = torch.tensor([0.1, -0.3, 0.2]).reshape(3, 1, 1, 1)
-    chain = Sensor() @ Warp((6, 7), (12, 14), (3, 3))
-    fields = {"scene": Pixels(scene.shape), "motion": Constant((3, 3, 3)), "gain": Constant(SHAPE, 1.0)}
-    fields |= {"offset": Constant(SHAPE), "level": Constant((3, 1, 1, 1))}
-    for name, value in {"motion": motion, "gain": gain, "offset": offset, "level": level}.items():
+    known = {"motion": motion, "gain": 0.5 + torch.rand(SHAPE), "offset": torch.rand(SHAPE), "level": level}
+    fields = {"scene": Pixels(scene.shape)} | {name: Constant(value.shape) for name, value in known.items()}
+    for name, value in known.items():
         fields[name].values.copy_(value)
-    slots = {"warp.motion": motion, "sensor.gain": gain, "sensor.offset": offset, "sensor.level": level}
-    data = chain(scene, **slots)
+    chain = Sensor() @ Warp((6, 7), (12, 14), (3, 3))
+    data = chain(scene, **{slot: known[slot.rpartition(".")[2]] for slot in chain.slots(scene.shape, 3)})
     data[1, 0, 2, 3] = 1e6  # a sample that does not count
     precision = torch.ones_like(data)
     precision[1, 0, 2, 3] = 0

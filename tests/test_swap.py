@@ -1,5 +1,7 @@
 """What represents gain, offset and scene is swapped from YAML, and the result is of that kind."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -21,12 +23,13 @@ solver: {{max_iterations: 15}}
 PARTS = "{type: column+row+pixel}"
 
 
-@pytest.fixture
-def solve(tmp_path, burst):
-    """Run the burst with these fields, written into a YAML file."""
+@pytest.fixture(scope="module")
+def solve(tmp_path_factory, burst):
+    """Run the burst with these fields, written into a YAML file; each is solved once."""
+    path = tmp_path_factory.mktemp("swap") / "mine.yaml"
 
+    @functools.cache
     def run(gain=PARTS, offset=PARTS, prior="tv", more=""):
-        path = tmp_path / "mine.yaml"
         path.write_text(CONFIG.format(gain=gain, offset=offset, prior=prior) + more)
         return deepir.run(path, frames=burst.frames)
 

@@ -18,7 +18,7 @@ from deepir.fields.base import Field
 from deepir.fields.constant import Constant, read_map
 from deepir.fields.sensor_maps import SumField
 from deepir.likelihoods import Fidelity
-from deepir.operators import Chain, Operator, Sensor, Warp
+from deepir.operators import Chain, Operator, Warp
 from deepir.operators.base import Trajectory
 from deepir.operators.motion_models import Canvas, Geometry, locate_first_frame
 from deepir.operators.warp import footprint, rescale_motion
@@ -253,10 +253,9 @@ def build(
     )
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())
-        name, last = operator.named()[-1]
-        if isinstance(last, Sensor) and last.reference is not None:
-            _demand_near(last.reference, data, f"physics.{name}.reference")
-            problem.measure_from(last.reference)
+        if problem.sensor is not None and (level := problem.sensor.reference) is not None:
+            _demand_near(level, data, f"physics.{operator.named()[-1][0]}.reference")
+            problem.measure_from(level)
     return problem, geometry
 
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
+from deepir.kernels import run
 from deepir.kernels.threads import is_compiled
 
 #: Relative residual at which conjugate gradients stop.
@@ -109,14 +110,11 @@ def gradient_and_loss(prediction: Tensor, data: Tensor, precision: Tensor) -> tu
 
 def gradient_and_loss_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
     """`gradient_and_loss` in one pass over the frames, by a compiled loop."""
-    from deepir.kernels.compile import parallel_for
-    from deepir.kernels.normal_equations import weighted_residuals
-
     prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
     gradient = torch.empty_like(prediction)
     loss = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
     rows = (each.flatten(0, -2) for each in (prediction, data, precision, gradient))
-    parallel_for(weighted_residuals, len(loss), *rows, loss)
+    run("normal_equations.weighted_residuals", len(loss), *rows, loss)
     return gradient, loss.sum()
 
 
@@ -135,16 +133,13 @@ def sensor_gradients_and_loss(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def sensor_gradients_and_loss_cpu(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """`sensor_gradients_and_loss` in one pass over the frames, by a compiled loop."""
-    from deepir.kernels.compile import parallel_for
-    from deepir.kernels.normal_equations import sensor_weighted_residuals
-
     flux, data, precision, gain, offset, level, variances, system = given
     frames = [each.contiguous().flatten(1, -2) for each in (flux, data, precision)]
     maps = (each.expand(1, *flux.shape[1:]).contiguous().flatten(0, -2) for each in (gain, offset))
     gradient = torch.empty_like(frames[0])
     loss, level_gradient = frames[0].new_empty(2, *gradient.shape[:2], dtype=torch.float64)
-    parallel_for(
-        sensor_weighted_residuals,
+    run(
+        "normal_equations.sensor_weighted_residuals",
         gradient.shape[1],
         *frames,
         *maps,
@@ -289,8 +284,7 @@ class PixelEquationsCPU(PixelEquations):
     """The same, each in one pass by a compiled loop."""
 
     def _reduce(self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float) -> None:
-        from deepir.kernels.compile import parallel_for
-        from deepir.kernels.normal_equations import ROWS_PER_BAND, reduce
+        from deepir.kernels.normal_equations import ROWS_PER_BAND
 
         (_, height, width), u, v = flux.shape, *self.sigma.square().tolist()
         self.bands = -(-height // ROWS_PER_BAND)
@@ -299,19 +293,16 @@ class PixelEquationsCPU(PixelEquations):
         down = torch.empty(self.bands, 5, width, dtype=torch.float64)
         nats = torch.empty(self.bands, dtype=torch.float64)
         frames = (each.contiguous() for each in (flux, data, precision))
-        parallel_for(reduce, self.bands, *frames, level, neutral, u, v, self.maps, self.row_sums, down, nats)
+        run("normal_equations.reduce", self.bands, *frames, level, neutral, u, v, self.maps, self.row_sums, down, nats)
         self.column_sums, self.log_det = down.sum(0), nats.sum()
 
     def solve(self, root: Tensor, to_columns: Tensor, to_rows: Tensor, weights: Tensor, rhs: Tensor) -> Tensor:
         """See `PixelEquations`."""
-        from deepir.kernels.compile import parallel_for
-        from deepir.kernels.normal_equations import solve
-
         x, maps, tolerance = rhs.clone(), self.maps[:3], TOLERANCE
         if self.rounded:
             maps, tolerance = maps.float(), FLOAT32_TOLERANCE
         system = (maps, root, to_columns, to_rows, weights, self.row_sums[3:].flatten())
-        parallel_for(solve, 1, *system, tolerance, MAX_ITERATIONS, x)
+        run("normal_equations.solve", 1, *system, tolerance, MAX_ITERATIONS, x)
         return x
 
     def back_substitute(
@@ -323,15 +314,11 @@ class PixelEquationsCPU(PixelEquations):
         white: tuple[Tensor, Tensor],
     ) -> tuple[Tensor, Tensor]:
         """See `PixelEquations`."""
-        from deepir.kernels.compile import parallel_for
-        from deepir.kernels.normal_equations import back_substitute
-
-        errors, values = (
-            torch.empty_like(self.row_sums[3:]),
-            self.maps.new_empty(2, *self.maps.shape[1:], dtype=self.dtype),
-        )
-        before = (columns.contiguous(), self.row_sums[3:], weights, *(each.contiguous() for each in smooth))
-        parallel_for(back_substitute, self.bands, self.maps, *before, self.sigma, neutral, errors, *white, values)
+        errors = torch.empty_like(self.row_sums[3:])
+        values = torch.empty_like(self.maps[3:], dtype=self.dtype)
+        given = (columns.contiguous(), self.row_sums[3:], weights, *(each.contiguous() for each in smooth))
+        found = (errors, *white, values)
+        run("normal_equations.back_substitute", self.bands, self.maps, *given, self.sigma, neutral, *found)
         return errors, values
 
 

@@ -120,10 +120,8 @@ def eliminate(
     make = PixelEquationsCPU if is_compiled(flux) else PixelEquations
     lines = torch.maximum(sigma[COLUMN], sigma[ROW])
     pixels = make(flux[:, 0], data[:, 0], precision[:, 0], levels, neutral[0], sigma[PIXEL], lines)
-    columns, rows = (
-        _LineEquations(pixels.column_sums, sigma[COLUMN]),
-        _LineEquations(pixels.row_sums, sigma[ROW]),
-    )
+    columns = _LineEquations(pixels.column_sums, sigma[COLUMN])
+    rows = _LineEquations(pixels.row_sums, sigma[ROW])
     # One of the shading parts: their terms are the same.
     shading = next((part for each in parts if isinstance(part := each.get(SHADING), Shading)), None)
     smooth = _ShadingEquations(shading, sigma[SHADING], pixels, columns)

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from deepir.arrays.windows import fill_nearest
-from deepir.fields.psf.base import PSF
+from deepir.fields.psf import PSF
 
 #: Mean exponent of the power spectrum of natural scenes (Field 1987, Burton and Moorhead 1987).
 SPECTRAL_EXPONENT = 2.4

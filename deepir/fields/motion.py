@@ -6,11 +6,12 @@ import math
 from typing import Any, ClassVar
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
 from deepir.arrays.windows import squared_gradient
 from deepir.fields.base import Field, Shape
-from deepir.operators.motion_models import nearest_angle, nearest_rigid
+from deepir.operators.motion_models import AUTO, PARAMETERS, increment, nearest_rigid, parameters_of
 from deepir.operators.warp import project_pixels
 from deepir.registry import register
 
@@ -45,7 +46,6 @@ class Motion(Field):
 
     example_shape = (3, 3, 3)
     example_options: ClassVar = {"size": (60, 80)}
-    n_parameters: ClassVar[int]
 
     def __init__(
         self,
@@ -84,87 +84,67 @@ class Motion(Field):
 
     def matrices(self, p: Tensor) -> Tensor:
         """(N - 1, n_parameters) parameters in px -> (N - 1, 3, 3)."""
-        raise NotImplementedError
+        return increment(self.kind, p, self.radius)
 
     def parameters_of(self, t: Tensor) -> Tensor:
-        """The inverse of `matrices`; `t[:, 2, 2]` is one."""
-        raise NotImplementedError
+        """The inverse of `matrices`, projected onto the model; `t[:, 2, 2]` is one."""
+        return parameters_of(self.kind, t, self.radius)
+
+    @property
+    def kind(self) -> str:
+        """The motion model, a key of `deepir.operators.motion_models.PARAMETERS`."""
+        return str(self.model)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of parameters of a frame."""
+        return PARAMETERS[self.kind]
 
 
 @register("field", "shift")
 class Shift(Motion):
     """Translation, 2 parameters a frame."""
 
-    model, n_parameters = "shift", 2
-
-    def matrices(self, p: Tensor) -> Tensor:
-        """`T p = p + t`."""
-        one, zero = torch.ones_like(p[:, 0]), torch.zeros_like(p[:, 0])
-        return _matrix(one, zero, p[:, 0], zero, one, p[:, 1])
-
-    def parameters_of(self, t: Tensor) -> Tensor:
-        """The translation."""
-        return t[:, :2, 2]
+    model = "shift"
 
 
 @register("field", "rigid")
 class Rigid(Motion):
     """Rotation about the frame's centre and translation, 3 parameters a frame."""
 
-    model, n_parameters = "rigid", 3
-
-    def matrices(self, p: Tensor) -> Tensor:
-        """`T p = R(angle) p + t`."""
-        return _rigid(p, self.radius)
-
-    def parameters_of(self, t: Tensor) -> Tensor:
-        """Translation, and the angle of the nearest rotation."""
-        return _rigid_parameters(t, self.radius)
+    model = "rigid"
 
 
 @register("field", "affine")
 class Affine(Motion):
     """Any linear map and translation, 6 parameters a frame."""
 
-    model, n_parameters = "affine", 6
-
-    def matrices(self, p: Tensor) -> Tensor:
-        """`T p = A p + t`."""
-        a = p[:, 2:] / self.radius
-        return _matrix(1 + a[:, 0], a[:, 1], p[:, 0], a[:, 2], 1 + a[:, 3], p[:, 1])
-
-    def parameters_of(self, t: Tensor) -> Tensor:
-        """Translation and linear part."""
-        linear = (t[:, :2, :2] - torch.eye(2, dtype=t.dtype, device=t.device)).flatten(1)
-        return torch.cat((t[:, :2, 2], self.radius * linear), 1)
+    model = "affine"
 
 
 @register("field", "homography")
-class Homography(Affine):
+class Homography(Motion):
     """Any perspective map, 8 parameters a frame."""
 
-    model, n_parameters = "homography", 8
-
-    def matrices(self, p: Tensor) -> Tensor:
-        """Affine part, and two perspective terms."""
-        a, tilt = p[:, 2:6] / self.radius, p[:, 6:] / self.radius**2
-        return _matrix(1 + a[:, 0], a[:, 1], p[:, 0], a[:, 2], 1 + a[:, 3], p[:, 1], tilt[:, 0], tilt[:, 1])
-
-    def parameters_of(self, t: Tensor) -> Tensor:
-        """All entries but the last, which is one."""
-        return torch.cat((super().parameters_of(t), self.radius**2 * t[:, 2, :2]), 1)
+    model = "homography"
 
 
 @register("field", "auto")
-class Auto(Homography):
+class Auto(Motion):
     """Rigid motion, or homographies if the initial motion is not rigid."""
 
-    model = "auto"
+    model = AUTO
+    n_parameters = PARAMETERS["homography"]
     uses_homography: Tensor
 
     def __init__(self, shape: Shape, neutral: float = 0.0, **context: Any) -> None:
         super().__init__(shape, neutral, **context)
         self.register_buffer("uses_homography", torch.tensor(False))
+
+    @property
+    def kind(self) -> str:
+        """The present motion model."""
+        return "homography" if self.uses_homography else "rigid"
 
     @torch.no_grad()
     def init_from(self, value: Tensor) -> None:
@@ -185,28 +165,12 @@ class Auto(Homography):
 
     def matrices(self, p: Tensor) -> Tensor:
         """Homographies; the last parameters of a rigid motion are unused."""
-        return super().matrices(p) if self.uses_homography else _rigid(p[:, :3], self.radius)
+        return super().matrices(p[:, : PARAMETERS[self.kind]])
 
     def parameters_of(self, t: Tensor) -> Tensor:
-        """The inverse of `matrices`."""
-        if self.uses_homography:
-            return super().parameters_of(t)
-        return torch.nn.functional.pad(_rigid_parameters(t, self.radius), (0, self.n_parameters - Rigid.n_parameters))
-
-
-def _rigid(p: Tensor, radius: float) -> Tensor:
-    angle = p[:, 2] / radius
-    cos, sin = angle.cos(), angle.sin()
-    return _matrix(cos, -sin, p[:, 0], sin, cos, p[:, 1])
-
-
-def _rigid_parameters(t: Tensor, radius: float) -> Tensor:
-    return torch.cat((t[:, :2, 2], radius * nearest_angle(t)[:, None]), 1)
-
-
-def _matrix(a: Tensor, b: Tensor, c: Tensor, d: Tensor, e: Tensor, f: Tensor, *last: Tensor) -> Tensor:
-    g, h = last or (torch.zeros_like(a), torch.zeros_like(a))
-    return torch.stack((a, b, c, d, e, f, g, h, torch.ones_like(a)), -1).unflatten(-1, (3, 3))
+        """The inverse of `matrices`; the last parameters of a rigid motion are zero."""
+        found = super().parameters_of(t)
+        return F.pad(found, (0, self.n_parameters - found.shape[1]))
 
 
 @register("field", "flow")

@@ -208,11 +208,8 @@ def warp_adjoint(first, last, gradient, motion, scene):
     fx, fy = np.empty(w, scene.dtype), np.empty(w, scene.dtype)
     share = scene.dtype.type(1 / 36)
     # Room for three at both ends, so that each coefficient is written to once for all samples of a run.
-    wx, wy, part = (
-        np.zeros((4, w + 6), scene.dtype),
-        np.empty((4, w), scene.dtype),
-        np.zeros(w + 6, scene.dtype),
-    )
+    wx, wy = np.zeros((4, w + 6), scene.dtype), np.empty((4, w), scene.dtype)
+    part = np.zeros(w + 6, scene.dtype)
     for k in range(frames):
         t = motion[k]
         for i in range(h):

@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from deepir.kernels.compile import compiled
-from deepir.kernels.threads import DETERMINANTS_PER_LOG
 
+#: Determinants that are multiplied before one logarithm is taken.
+DETERMINANTS_PER_LOG = 8
 #: Rows of a band, the unit of parallel work.
 ROWS_PER_BAND = 32
 #: Pixels whose sums stay in the cache.
@@ -202,11 +203,7 @@ def _multiply_row_coupling(maps, root, to_columns, to_rows, weights, x, rest, co
 @compiled
 def solve(first, last, maps, root, to_columns, to_rows, weights, rest, tolerance, iterations, x):
     """Conjugate gradients, whole; `x` is the right-hand side, and becomes the solution."""
-    columns, rows, nothing = (
-        np.empty(2 * maps.shape[2]),
-        np.empty(2 * maps.shape[1]),
-        np.zeros(2 * maps.shape[1]),
-    )
+    columns, rows, nothing = np.empty(2 * maps.shape[2]), np.empty(2 * maps.shape[1]), np.zeros(2 * maps.shape[1])
     p, q, r, rr = np.zeros(len(x)), np.empty(len(x)), np.empty(len(x)), 0.0
     _multiply_row_coupling(maps, root, to_columns, to_rows, weights, p, rest, columns, rows, q)
     for k in range(len(x)):  # one by one: operations on whole arrays take long to compile

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
@@ -18,6 +17,7 @@ class Add(Operator):
     linear = False
     pointwise = keeps_grid = True
     neutral: ClassVar = {"value": 0.0}
+    example_shape = (2, 1, 4, 5)
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """`value`: (1, C, h, w)."""
@@ -26,10 +26,3 @@ class Add(Operator):
     def forward(self, x: Tensor, *, value: Tensor) -> Tensor:  # type: ignore[override]
         """Add the field to each frame."""
         return x + value
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Two frames of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        x, value = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (2, 1))
-        return cls(), x, {"value": value}

@@ -6,7 +6,7 @@ import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -68,6 +68,10 @@ class Operator(nn.Module):
     keeps_grid: ClassVar[bool] = False
     #: The instants at which it needs its input.
     trajectory: Trajectory = Trajectory()
+    #: Shape of the input, options and number of frames of `example`.
+    example_shape: ClassVar[Shape] = (1, 1, 4, 5)
+    example_options: ClassVar[Mapping[str, Any]] = {}
+    example_frames: ClassVar[int] = 3
 
     def slots(self, x_shape: Shape, n_frames: int) -> dict[str, Shape]:
         """Name and shape of each slot, for an input of `x_shape` and a burst of `n_frames`."""
@@ -183,8 +187,11 @@ class Operator(nn.Module):
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """A small instance with input and slots (float64): the test-suite collects it from the registry."""
-        raise NotImplementedError
+        """A small instance with random input and slots (float64): the test-suite collects it from the registry."""
+        operator, generator = cls(**cls.example_options), torch.Generator().manual_seed(0)
+        shapes = {"": cls.example_shape} | operator.slots(cls.example_shape, cls.example_frames)
+        slots = {name: torch.rand(shape, generator=generator, dtype=torch.float64) for name, shape in shapes.items()}
+        return operator, slots.pop(""), slots
 
     def __matmul__(self, other: Operator) -> Chain:
         """`B @ A` applies `A` first."""

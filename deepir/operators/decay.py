@@ -22,6 +22,7 @@ class Decay(Operator):
     times: Tensor
     pointwise = keeps_grid = True
     neutral: ClassVar = {"rate": 0.0}
+    example_options: ClassVar = {"t": (0.0, 1.0, 2.5)}
 
     def __init__(self, *, t: Sequence[float] = (0.0,)) -> None:
         super().__init__()
@@ -38,10 +39,3 @@ class Decay(Operator):
     def forward(self, x: Tensor, *, rate: Tensor) -> Tensor:  # type: ignore[override]
         """The scene at each time."""
         return x * torch.exp(-rate * self.times.to(x))
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three times of a scene of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        x, rate = (torch.rand(1, 1, 4, 5, generator=generator, dtype=torch.float64) for _ in range(2))
-        return cls(t=(0.0, 1.0, 2.5)), x, {"rate": rate}

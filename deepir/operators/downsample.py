@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from typing import ClassVar
 
 import torch
 import torch.nn.functional as F
@@ -25,6 +26,9 @@ class Downsample(Operator):
 
     Saragadam et al. 2021, supplement, "Details about super resolution".
     """
+
+    example_shape = (2, 1, 6, 9)
+    example_options: ClassVar = {"factor": 3}
 
     def __init__(self, *, factor: float = 2) -> None:
         super().__init__()
@@ -76,9 +80,3 @@ class Downsample(Operator):
         pixels = torch.arange(round(side * self.factor), dtype=torch.float64)
         first, last = edges[:-1, None], edges[1:, None]
         return (torch.minimum(last, pixels + 1) - torch.maximum(first, pixels)).clamp(0, 1)
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Factor 3 on 2 frames."""
-        generator = torch.Generator().manual_seed(0)
-        return cls(factor=3), torch.rand(2, 1, 6, 9, generator=generator, dtype=torch.float64), {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
@@ -29,10 +28,3 @@ class Exposure(Operator):
     def forward(self, x: Tensor, *, time: Tensor) -> Tensor:  # type: ignore[override]
         """The flux over each time."""
         return time * x
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three times of a scene of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        x = torch.rand(1, 1, 4, 5, generator=generator, dtype=torch.float64)
-        return cls(), x, {"time": torch.tensor([0.5, 1.0, 2.0], dtype=torch.float64).reshape(3, 1, 1, 1)}

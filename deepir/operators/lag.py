@@ -30,6 +30,8 @@ class Lag(Operator):
 
     temporal = keeps_grid = True
     neutral: ClassVar = {"tau": 0.0, "moving": 0.0}
+    example_shape = (7, 1, 4, 5)
+    example_options: ClassVar = {"fps": 60.0, "substeps": 2}
 
     def __init__(
         self,
@@ -121,8 +123,6 @@ class Lag(Operator):
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three frames of 4 x 5 px, two steps each, time constants of 5 to 15 ms."""
-        generator = torch.Generator().manual_seed(0)
-        x, tau = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) for n in (7, 1))
-        moving = torch.full((1, 1, 1, 1), 0.3, dtype=torch.float64)
-        return cls(60.0, substeps=2), x, {"tau": 5 + 10 * tau, "moving": moving}
+        """Three frames, two steps each, time constants of 5 to 15 ms."""
+        operator, x, slots = super().example()
+        return operator, x, slots | {"tau": 5 + 10 * slots["tau"]}

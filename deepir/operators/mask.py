@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
@@ -39,8 +38,6 @@ class Mask(Operator):
 
     @classmethod
     def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Two masks of one picture of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        x = torch.rand(1, 1, 4, 5, generator=generator, dtype=torch.float64)
-        keep = torch.rand(2, 1, 4, 5, generator=generator, dtype=torch.float64)
-        return cls(), x, {"keep": keep * (keep > 0.4)}
+        """Three masks of one picture, with samples that are lost."""
+        operator, x, slots = super().example()
+        return operator, x, {"keep": slots["keep"] * (slots["keep"] > 0.4)}

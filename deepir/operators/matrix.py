@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import torch
+from typing import ClassVar
+
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
@@ -15,6 +16,9 @@ class Matrix(Operator):
 
     The scene is `height` x `width` px, the slot `matrix` (1, 1, rows, height width), and the data (N, C, rows, 1).
     """
+
+    example_shape = (2, 1, 4, 5)
+    example_options: ClassVar = {"height": 4, "width": 5, "rows": 7}
 
     def __init__(self, *, height: int, width: int, rows: int) -> None:
         super().__init__()
@@ -41,11 +45,3 @@ class Matrix(Operator):
     def valid(self, mask: Tensor, *, matrix: Tensor) -> Tensor:  # type: ignore[override]
         """Measurements without a part in what is not valid."""
         return ((matrix != 0).to(mask.dtype) @ (1 - mask).flatten(2)[..., None] == 0).to(mask.dtype)
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Seven measurements of two scenes of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        x = torch.rand(2, 1, 4, 5, generator=generator, dtype=torch.float64)
-        matrix = torch.rand(1, 1, 7, 20, generator=generator, dtype=torch.float64)
-        return cls(height=4, width=5, rows=7), x, {"matrix": matrix}

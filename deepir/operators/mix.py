@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from torch import Tensor
 
 from deepir.operators.base import Operator, Shape
@@ -34,11 +33,3 @@ class Mix(Operator):
     def forward(self, x: Tensor, *, a: Tensor, b: Tensor, s: Tensor) -> Tensor:  # type: ignore[override]
         """The weighted sum of the two scenes."""
         return a * x + b * s
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three mixtures of two scenes of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        shapes = {"x": (1, 1, 4, 5), "a": (3, 1, 1, 1), "b": (3, 1, 1, 1), "s": (1, 1, 4, 5)}
-        slots = {name: torch.rand(shape, generator=generator, dtype=torch.float64) for name, shape in shapes.items()}
-        return cls(), slots.pop("x"), slots

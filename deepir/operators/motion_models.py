@@ -35,16 +35,14 @@ class Geometry:
 
 def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, int]) -> Geometry:
     """Geometry of a chain for frames of `size` (h, w) and a scene (H, W)."""
-    stages = [stage for _, stage in chain.named()]
-    first, later = stages[0], Chain(dict(chain.named()[1:]))
-    rest = later if isinstance(first, Warp) else chain
+    (_, first), *later = chain.named()
+    rest = Chain(dict(later)) if isinstance(first, Warp) else chain
     near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
     if near == far:  # the data are no pictures of the scene, but measurements of it, such as those of a single pixel
         return Geometry(1.0, (0, scene[0], 0, scene[1]))
     ratio = (far[0] - near[0]) / size[0]
     height, width = round(ratio * size[0]), round(ratio * size[1])
-    y0, x0 = first.origin if isinstance(first, Warp) else (0, 0)
-    inner = near if isinstance(first, Warp) else scene
+    (y0, x0), inner = (first.origin, near) if isinstance(first, Warp) else ((0, 0), scene)
     y0, x0 = y0 + (inner[0] - height) // 2, x0 + (inner[1] - width) // 2
     return Geometry(ratio, (int(y0), int(y0) + height, int(x0), int(x0) + width))
 
@@ -128,12 +126,8 @@ def transform_points(motion: Tensor, points: Tensor) -> Tensor:
 
 def rotation(angle: Tensor) -> Tensor:
     """Rotations `(..., 3, 3)` by angles `(...)` in radians; positive turns +x towards +y."""
-    out = angle.new_zeros(*angle.shape, 3, 3, dtype=torch.float64)
-    out[..., 0, 0] = out[..., 1, 1] = angle.cos()
-    out[..., 1, 0] = angle.sin()
-    out[..., 0, 1] = -angle.sin()
-    out[..., 2, 2] = 1
-    return out
+    cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    return torch.stack((cos, -sin, zero, sin, cos, zero, zero, zero, one), -1).unflatten(-1, (3, 3))
 
 
 def nearest_angle(motion: Tensor) -> Tensor:
@@ -167,12 +161,29 @@ def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]
 
 def increment(model: str, delta: Tensor, size: float) -> Tensor:
     """The motions `(B, 3, 3)` of small parameters `(B, P)`, in the order and scale of `generators`."""
-    out = identity(len(delta))
+    x, y = delta[:, 0], delta[:, 1]
+    zero, one = torch.zeros_like(x), torch.ones_like(x)
+    a, b, c, d, g, h = one, zero, zero, one, zero, zero
     if model == "rigid":
-        out = rotation(delta[:, 2] / size)
+        angle = delta[:, 2] / size
+        a, c = angle.cos(), angle.sin()
+        b, d = -c, a
     elif model in ("affine", "homography"):
-        out[:, :2, :2] += delta[:, 2:6].reshape(-1, 2, 2) / size
+        linear = delta[:, 2:6] / size
+        a, b, c, d = 1 + linear[:, 0], linear[:, 1], linear[:, 2], 1 + linear[:, 3]
     if model == "homography":
-        out[:, 2, :2] = delta[:, 6:] / size**2
-    out[:, :2, 2] = delta[:, :2]
-    return out
+        g, h = (delta[:, 6:] / size**2).unbind(1)
+    return torch.stack((a, b, x, c, d, y, g, h, one), -1).unflatten(-1, (3, 3))
+
+
+def parameters_of(model: str, motion: Tensor, size: float) -> Tensor:
+    """The inverse of `increment`: parameters `(B, P)` of motions `(B, 3, 3)`, projected onto the model."""
+    found = [motion[:, :2, 2]]
+    if model == "rigid":
+        found.append(size * nearest_angle(motion)[:, None])
+    elif model in ("affine", "homography"):
+        linear = motion[:, :2, :2] - torch.eye(2, dtype=motion.dtype, device=motion.device)
+        found.append(size * linear.flatten(1))
+    if model == "homography":
+        found.append(size**2 * motion[:, 2, :2])
+    return torch.cat(found, 1)

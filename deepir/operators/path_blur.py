@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import torch
 from torch import Tensor
 
-from deepir.operators.base import Operator, Shape
+from deepir.operators.base import Shape
 from deepir.operators.blur import Blur
 from deepir.registry import register
 
@@ -21,6 +23,9 @@ class PathBlur(Blur):
     over the output's edges, three more than the longest shift; frames of longer ones are not valid. Between pixels the
     scene is interpolated by Lanczos' kernel.
     """
+
+    example_shape = (1, 1, 10, 11)
+    example_options: ClassVar = {"margin": 4, "points": 3}
 
     def __init__(self, *, margin: int = 16, points: int = 16) -> None:
         super().__init__(radius=margin)
@@ -54,14 +59,6 @@ class PathBlur(Blur):
         """Pixels whose whole window is valid, of frames whose path is within the margin."""
         within = path.abs().amax((1, 2, 3)) <= self.radius - LOBES + 1e-4
         return super().valid(mask, psf=path) * within[:, None, None, None]
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Two paths of three points within a px, over a scene of 10 x 11 px."""
-        generator = torch.Generator().manual_seed(0)
-        x = torch.rand(1, 1, 10, 11, generator=generator, dtype=torch.float64)
-        path = torch.rand(2, 1, 3, 2, generator=generator, dtype=torch.float64) * 0.9
-        return cls(margin=4, points=3), x, {"path": path}
 
 
 def _lanczos(x: Tensor) -> Tensor:

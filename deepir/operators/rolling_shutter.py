@@ -58,13 +58,3 @@ class RollingShutter(Warp):
         px, py, pz = (t[:, :, i, 0] * x + t[:, :, i, 1] * y[:, None] + t[:, :, i, 2] for i in range(3))
         nearness = pz.clamp(min=MIN_DEPTH).reciprocal()
         return torch.stack((px * nearness, py * nearness), -1)
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three frames of 6 x 7 px that move by a px or so."""
-        _, x, slots = super().example()
-        return (
-            cls((6, 7), (11, 12), (2, 3)),
-            x,
-            slots | {"readout": torch.full((1, 1, 1, 1), 0.4, dtype=x.dtype)},
-        )

@@ -25,6 +25,7 @@ class Sensor(Operator):
     linear = False
     pointwise = keeps_grid = True
     neutral: ClassVar = {"gain": 1.0, "offset": 0.0, "level": 0.0}
+    example_shape = (3, 1, 4, 5)
 
     def __init__(self, reference: float | None = None) -> None:
         """`reference`: see above.
@@ -54,11 +55,3 @@ class Sensor(Operator):
     def adjoint(self, y: Tensor, x_shape: Shape, *, gain: Tensor, **_: Tensor) -> Tensor:  # type: ignore[override]
         """Of the linear part, the gain."""
         return (gain * y).sum_to_size(x_shape)
-
-    @classmethod
-    def example(cls) -> tuple[Operator, Tensor, dict[str, Tensor]]:
-        """Three frames of 4 x 5 px."""
-        generator = torch.Generator().manual_seed(0)
-        x, gain, offset = (torch.rand(n, 1, 4, 5, generator=generator, dtype=torch.float64) + 0.5 for n in (3, 1, 1))
-        level = torch.linspace(-0.1, 0.1, 3, dtype=torch.float64).reshape(3, 1, 1, 1)
-        return cls(), x, {"gain": gain, "offset": offset, "level": level}

@@ -15,7 +15,6 @@ from deepir.arrays.statistics import median_sigma
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
-from deepir.operators import Sensor, Warp
 from deepir.operators.motion_models import displacement_at
 from deepir.optim.low_order_model import (
     MIN_CURVATURE_RATIO,
@@ -49,7 +48,7 @@ def has_fourier_model(problem: Problem) -> bool:
     """
     first, *others = (stage for _, stage in problem.operator.named())
     local = all(stage.pointwise or stage.temporal for stage in others)
-    seen = first.moves and local and bool(others) and isinstance(others[-1], Sensor)
+    seen = first.moves and local and bool(others) and problem.sensor is not None
     several = len(problem.data) > 1 and problem.data.shape[1] == 1
     return seen and several and isinstance(problem.fields["scene"], Pixels)
 
@@ -140,7 +139,7 @@ def _coupling_denominator(
 def pattern_coupling(problem: Problem) -> Iterator[Tensor]:
     """`|Σ_j exp(i k d_j)|²` of each wave, for each position in the frame: a rotation makes d depend on it."""
     y, x = frequencies(problem.fields["scene"].shape[-2:], problem.data.device)
-    motion = problem.field_of(problem.slot(Warp, "motion"))().double()
+    motion = problem.fields[problem.motion_unknown()]().double()
     height, width = problem.data.shape[-2:]
     parts = torch.linspace(-0.4, 0.4, N_MOTION_POSITIONS, dtype=y.dtype, device=y.device)
     places = torch.cartesian_prod(parts * width, parts * height)
@@ -165,7 +164,7 @@ def is_joint_with_motion(problem: Problem, group: Collection[str]) -> bool:
     """Whether scene and a parametric motion are fitted jointly, with all rows of a frame exposed at once."""
     if not has_fourier_model(problem) or any(stage.temporal for _, stage in problem.operator.named()):
         return False
-    motion = problem.slots[problem.slot(Warp, "motion")]
+    motion = problem.motion_unknown()
     return {"scene", motion} <= set(group) and isinstance(problem.fields[motion], Motion)
 
 

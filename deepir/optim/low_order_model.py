@@ -25,7 +25,7 @@ from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift, level_basis
 from deepir.fields.shading import Shading
-from deepir.operators import Lag, Warp
+from deepir.operators import Lag
 from deepir.problem import Problem
 
 #: Points along each axis at which the polynomials are sampled.
@@ -57,7 +57,7 @@ class LowOrderModel:
         self.problem = problem
         self.scene, self.frame = (polynomials(*size, device) for size in (canvas[-2:], (height, width)))
         step_y, step_x = max(height // N_SAMPLING_POINTS, 1), max(width // N_SAMPLING_POINTS, 1)
-        motion = problem.field_of(problem.slot(Warp, "motion"))().double()
+        motion = problem.fields[problem.motion_unknown()]().double()
         y0, x0 = ((of - side) // 2 for of, side in zip(warp.size, (height, width), strict=True))
         some = slice(y0, y0 + height, step_y), slice(x0, x0 + width, step_x)
         points = warp.sampling_points(warp.instants.interpolate(motion), *some).flatten(1, 2)

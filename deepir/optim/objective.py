@@ -14,7 +14,6 @@ from deepir.arrays.statistics import masked_values, median_sigma
 from deepir.errors import DataError
 from deepir.joint_problem import AnyProblem
 from deepir.likelihoods import CAUCHY_SCALE
-from deepir.operators import Warp
 from deepir.optim.base import Optimiser, free_parameters
 from deepir.optim.fourier_hessian import degrees_of_freedom, is_joint_with_motion
 from deepir.optim.preconditioner import make_block_preconditioner
@@ -57,8 +56,7 @@ def _joint_motions(problem: AnyProblem, group: Collection[str]) -> dict[str, tup
     for each in problem.data_sets:
         names = problem.names_in(each)
         if is_joint_with_motion(each, [own for own, name in names.items() if name in group]):
-            name = names[each.slots[each.slot(Warp, "motion")]]
-            found[name] = (each.data.shape[-2], each.data.shape[-1])
+            found[names[each.motion_unknown()]] = (each.data.shape[-2], each.data.shape[-1])
     return found
 
 

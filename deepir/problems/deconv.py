@@ -9,8 +9,7 @@ from deepir.errors import ConfigError
 from deepir.estimation.cross_validation import WeightSearch, fraction_for_weights
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
-from deepir.fields.psf.base import PSF, Simplex
-from deepir.fields.psf.shapes import Airy, Defocus, Gaussian, MotionBlur
+from deepir.fields.psf import PSF, Airy, Defocus, Gaussian, MotionBlur, Simplex
 from deepir.messages import Message
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem

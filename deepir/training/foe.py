@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from deepir.arrays.windows import squared_gradient
 from deepir.estimation.prior_weight import smoothness_exponent, weight_from_gradients
-from deepir.operators.bspline import to_pixels
+from deepir.operators.warp import to_pixels
 from deepir.priors.penalties.foe import Experts, foe_energy
 from deepir.registry import register
 from deepir.simulate.scenes.procedural import load_picture, procedural, sky

@@ -79,10 +79,8 @@ def test_the_optimum_is_that_of_dense_least_squares(gain, offset, zero, pedestal
 def test_strong_lines_are_found_in_single_precision_too(pixel, pedestal):
     generator, shape, sigmas = torch.Generator().manual_seed(0), (1, 1, 40, 50), (0.2, 0.2, pixel)
     z = pedestal * (1 + 0.2 * torch.rand(5, *shape[1:], generator=generator))
-    noise, gain = (
-        torch.randn(z.shape, generator=generator),
-        1 + 0.2 * torch.randn(shape[-1], generator=generator),
-    )
+    noise = torch.randn(z.shape, generator=generator)
+    gain = 1 + 0.2 * torch.randn(shape[-1], generator=generator)
     y, precision = gain * z + 1e-3 * pedestal * noise, torch.full_like(z, 1e6 / pedestal**2)
     found = []
     for dtype in (torch.float32, torch.float64):

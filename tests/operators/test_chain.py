@@ -16,11 +16,6 @@ def slots_for(chain, x, n_frames):
     return found
 
 
-def burst():
-    """The whole forward model: warp, blur, downsample, stray flux, sensor."""
-    return Sensor() @ Add() @ Downsample(factor=2) @ Blur(radius=1) @ Warp((10, 12), (14, 15), (2, 1))
-
-
 def test_the_last_written_is_applied_first():
     x = torch.rand(1, 1, 8, 8)
     chain = Downsample(factor=2) @ Blur(radius=1)
@@ -43,18 +38,18 @@ def test_two_stages_of_a_kind_do_not_clash():
     }
 
 
-def test_the_whole_forward_model_is_a_good_operator():
-    chain = burst()
-    x = torch.rand(1, 1, 14, 15, dtype=torch.float64)
+@pytest.mark.parametrize(
+    ("chain", "shape", "linear"),
+    [
+        # The whole forward model: warp, blur, downsample, stray flux, sensor.
+        (Sensor() @ Add() @ Downsample() @ Blur(radius=1) @ Warp((10, 12), (14, 15), (2, 1)), (1, 1, 14, 15), False),
+        (Downsample() @ Blur(radius=1), (2, 1, 8, 10), True),
+    ],
+)
+def test_a_chain_is_a_good_operator(chain, shape, linear):
+    x = torch.rand(shape, dtype=torch.float64)
     check_operator(chain, x, slots_for(chain, x, 3))
-    assert (chain.linear, chain.affine) == (False, True)
-
-
-def test_a_chain_of_linear_stages_is_linear():
-    chain = Downsample(factor=2) @ Blur(radius=1)
-    assert chain.linear
-    x = torch.rand(2, 1, 8, 10, dtype=torch.float64)
-    check_operator(chain, x, slots_for(chain, x, 2))
+    assert (chain.linear, chain.affine) == (linear, True)
 
 
 @pytest.mark.parametrize("size", [(4, 5), (7, 3)])

@@ -1,4 +1,4 @@
-"""Thermal inertia: `tau dy/dt = x - y`, against its solutions."""
+"""Thermal inertia: `tau dy/dt = x - y`, against its solutions, and the camera's path between frames."""
 
 import math
 
@@ -138,23 +138,29 @@ def test_a_sample_is_valid_if_its_pixel_has_seen_only_what_is_in_the_canvas():
     assert lag.valid(mask, tau=torch.zeros(1, 1, 1, 1), moving=REST).flatten().tolist() == [1, 1, 0, 0]
 
 
-def test_instants_that_do_not_fit_the_sub_steps_are_refused():
-    with pytest.raises(ValueError, match="lag: 6 instants are not 4 for each frame and one to begin with"):
-        Lag(FPS)(torch.rand(6, 1, 1, 1), tau=torch.zeros(1, 1, 1, 1), moving=REST)
-
-
-@pytest.mark.parametrize(
-    ("rate", "options", "message"),
-    [
-        (None, {}, "the rate of the frames is needed, for example data.fps=60"),
-        (FPS, {"substeps": 0}, "substeps must be 1 to 100, not 0"),
-        (FPS, {"readout": 1.5}, "readout must be 0 to 1, not 1.5"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(rate, options, message):
-    with pytest.raises(ValueError, match=message):
-        Lag(rate, **options)
-
-
 def test_the_instants_are_those_that_the_lag_asks_for():
     assert Lag(FPS, substeps=6).trajectory == Trajectory(6, n_before=6)
+
+
+def test_one_instant_a_frame_is_the_frames_own():
+    motion = torch.rand(4, 3, 3)
+    assert Trajectory().interpolate(motion) is motion
+
+
+@pytest.mark.parametrize("path", [Trajectory(4), Trajectory(3, n_before=2)])
+@pytest.mark.parametrize("n_frames", [1, 2, 3, 7])
+def test_the_path_goes_through_the_frames(path, n_frames):
+    motion = torch.rand(n_frames, 3, 3, dtype=torch.float64)
+    instants = path.interpolate(motion)
+    assert len(instants) == path.count(n_frames)
+    assert path.frames(len(instants)) == n_frames
+    assert torch.allclose(instants[path.n_before :: path.steps], motion, atol=1e-12)
+
+
+def test_a_cubic_path_is_found_exactly_and_goes_on_before_the_first_frame():
+    def place(time):
+        return torch.stack((1 + time**3, 2 * time - time**2), -1)
+
+    path = Trajectory(5, n_before=5)
+    found = path.interpolate(place(torch.arange(6, dtype=torch.float64)))
+    assert torch.allclose(found, place(torch.arange(-5, 26, dtype=torch.float64) / 5), atol=1e-10)

@@ -8,7 +8,6 @@ import torch
 
 from deepir.errors import DataError, SolverError
 from deepir.fields.base import Pixels
-from deepir.fields.constant import Constant
 from deepir.operators import Chain, Operator, Sensor
 from deepir.optim.objective import held_out_error
 from deepir.optim.solve import solve
@@ -22,6 +21,11 @@ OPTIMISERS = components("optimiser")
 
 EVERYTHING = ("gain", "offset")
 ELIMINATE = Step(EVERYTHING, "eliminate")
+
+
+@pytest.fixture
+def checkpoint(tmp_path):
+    return FileCheckpoint(tmp_path / "state.safetensors")
 
 
 def plan(method="lbfgs", iterations=30, *, groups=(("scene", "motion"),), eliminate=True, **options):
@@ -210,37 +214,30 @@ class BreaksDown(Operator):
 
 
 @pytest.mark.parametrize("method", OPTIMISERS)
-def test_nan_ends_the_solve_with_a_reason_and_the_last_good_state(method, tmp_path):
+def test_nan_ends_the_solve_with_a_reason_and_the_last_good_state(method, checkpoint):
     BreaksDown.calls = 0
-    fields = {"scene": Pixels((1, 1, 6, 7)), "gain": Constant((1, 1, 6, 7), 1.0)}
-    fields |= {"offset": Constant((1, 1, 6, 7)), "level": Constant((2, 1, 1, 1))}
-    data = torch.rand(2, 1, 6, 7)
     chain = Chain({"breaks": BreaksDown(), "sensor": Sensor()})
-    problem = Problem(chain, fields, data, torch.ones_like(data), penalties={"scene": {"ridge": Ridge(weight=1.0)}})
+    fields, penalties = {"scene": Pixels((1, 1, 6, 7))}, {"scene": {"ridge": Ridge(weight=1.0)}}
+    problem = Problem(chain, fields, torch.rand(2, 1, 6, 7), penalties=penalties)
     # Two groups: an alternating one evaluates anew before each step.
     steps = (Step(("scene",), method), Step(("scene",), method))
     with pytest.raises(SolverError, match=r"not a number at iteration .* of stage 'joint'"):
-        solve(
-            problem,
-            [Stage("joint", steps, 50, tolerance=0.0)],
-            checkpoint=FileCheckpoint(tmp_path / "state.safetensors"),
-        )
-    scene = problem.fields["scene"]().detach()
-    assert scene.isfinite().all()
-    tensors, _ = FileCheckpoint(tmp_path / "state.safetensors").load()
+        solve(problem, [Stage("joint", steps, 50, tolerance=0.0)], checkpoint=checkpoint)
+    assert problem.fields["scene"]().isfinite().all()
+    tensors, _ = checkpoint.load()
     assert torch.equal(tensors["problem.fields.scene.values"], problem.fields["scene"].values)
 
 
-def test_divergence_ends_the_solve_where_the_stage_began(small_nuc, tmp_path):
+def test_divergence_ends_the_solve_where_the_stage_began(small_nuc, checkpoint):
     problem = small_nuc()
     before = problem.fields["scene"]().detach().clone()
     stage = Stage("joint", (Step(("scene",), "adam", lr=1e4),), 50)
     with pytest.raises(SolverError, match=r"rose from .* lower the step \(lr\)"):
-        solve(problem, [stage], checkpoint=FileCheckpoint(tmp_path / "state.safetensors"))
+        solve(problem, [stage], checkpoint=checkpoint)
     assert torch.equal(problem.fields["scene"](), before)
 
 
-def interrupted(small_nuc, stages, count, path):
+def interrupted(small_nuc, stages, count, checkpoint):
     """A whole solve, and one that is interrupted after `count` iterations and goes on: problems and solutions."""
     problems = []
     for _ in range(3):
@@ -250,49 +247,42 @@ def interrupted(small_nuc, stages, count, path):
     wanted = solve(whole, stages(whole))
     count = count or wanted.iterations
     with pytest.raises(InterruptedSolveError):
-        solve(broken, stages(broken), callbacks=[stop_after(count)], checkpoint=FileCheckpoint(path))
-    return whole, wanted, fresh, solve(fresh, stages(fresh), checkpoint=FileCheckpoint(path))
+        solve(broken, stages(broken), callbacks=[stop_after(count)], checkpoint=checkpoint)
+    return whole, wanted, fresh, solve(fresh, stages(fresh), checkpoint=checkpoint)
 
 
 @pytest.mark.parametrize("method", OPTIMISERS)
 @pytest.mark.parametrize("groups", [(("scene", "motion"),), (("scene",), ("motion",))])
 @pytest.mark.parametrize("count", [1, 7, 14])
-def test_a_resumed_solve_is_the_uninterrupted_one_to_the_bit(small_nuc, tmp_path, method, groups, count):
+def test_a_resumed_solve_is_the_uninterrupted_one_to_the_bit(small_nuc, checkpoint, method, groups, count):
     def stages(problem):
         def prepare(p):
             p.penalties["scene"]["prior"].weight *= 1.1  # as estimated strengths do, once
 
         return [*plan(method, 8, groups=groups), *plan(method, 10, groups=groups, prepare=prepare)]
 
-    whole, wanted, fresh, found = interrupted(small_nuc, stages, count, tmp_path / "state.safetensors")
+    whole, wanted, fresh, found = interrupted(small_nuc, stages, count, checkpoint)
     assert same(state(whole), state(fresh))
     assert found.history == wanted.history
     assert (found.iterations, found.evaluations) == (wanted.iterations, wanted.evaluations)
     assert found.reason == wanted.reason
 
 
-def test_a_solve_interrupted_where_it_came_to_rest_does_not_go_on(small_nuc, tmp_path):
+def test_a_solve_interrupted_where_it_came_to_rest_does_not_go_on(small_nuc, checkpoint):
     stages = plan(iterations=500, tolerance=1e-2)
-    whole, wanted, fresh, found = interrupted(small_nuc, lambda _: stages, None, tmp_path / "state.safetensors")
+    whole, wanted, fresh, found = interrupted(small_nuc, lambda _: stages, None, checkpoint)
     assert found.history == wanted.history
     assert same(state(whole), state(fresh))
 
 
-def test_checkpoints_are_written_on_the_way(small_nuc, tmp_path):
-    path = tmp_path / "state.safetensors"
-    solve(small_nuc(), plan(iterations=3), checkpoint=FileCheckpoint(path), every=0.0)
-    _, position = FileCheckpoint(path).load()
-    assert position["iteration"] == 3
-
-
-def test_the_state_of_another_problem_is_refused(small_nuc, tmp_path):
-    path = tmp_path / "state.safetensors"
-    solve(small_nuc(), plan(iterations=2), checkpoint=FileCheckpoint(path), every=0.0)
+def test_checkpoints_are_written_on_the_way_and_the_state_of_another_problem_is_refused(small_nuc, checkpoint):
+    solve(small_nuc(), plan(iterations=3), checkpoint=checkpoint, every=0.0)
+    assert checkpoint.load()[1]["iteration"] == 3
     with pytest.raises(DataError, match="another problem"):
-        solve(small_nuc(size=(11, 13)), plan(iterations=2), checkpoint=FileCheckpoint(path))
-    path.write_bytes(b"no checkpoint")
+        solve(small_nuc(size=(11, 13)), plan(iterations=3), checkpoint=checkpoint)
+    checkpoint.path.write_bytes(b"no checkpoint")
     with pytest.raises(DataError, match="cannot be used"):
-        solve(small_nuc(), plan(iterations=2), checkpoint=FileCheckpoint(path))
+        solve(small_nuc(), plan(iterations=3), checkpoint=checkpoint)
 
 
 def test_adam_leaves_the_average_that_predicts_the_held_out_samples_best(small_nuc):

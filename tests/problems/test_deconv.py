@@ -12,7 +12,7 @@ from skimage.restoration import richardson_lucy, wiener
 import deepir
 from deepir.errors import ConfigError
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
-from deepir.fields.psf.shapes import Airy, Defocus, Gaussian, MotionBlur
+from deepir.fields.psf import Airy, Defocus, Gaussian, MotionBlur
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural

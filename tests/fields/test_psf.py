@@ -10,8 +10,7 @@ from scipy import ndimage, special
 from deepir.assembly.problem import make_field
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
-from deepir.fields.psf.base import Kernel, Simplex
-from deepir.fields.psf.shapes import Airy, Defocus, Gaussian, MotionBlur
+from deepir.fields.psf import Airy, Defocus, Gaussian, Kernel, MotionBlur, Simplex
 from deepir.operators import Blur
 
 SIZE = (60, 80)

@@ -1,1 +1,0 @@
-"""Point-spread functions. A new file is found by itself."""
