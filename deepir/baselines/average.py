@@ -146,13 +146,7 @@ def average_frames(burst: Burst, config: Config, frames: Array, registration: Re
 
 
 def result_of(
-    burst: Burst,
-    scene: Array,
-    used: Array,
-    motion: Array | None,
-    *,
-    iterations: int = 0,
-    messages: Sequence[str] = (),
+    burst: Burst, scene: Array, used: Array, motion: Array | None, *, iterations: int = 0, messages: Sequence[str] = ()
 ) -> Result:
     """The result of a rival with gain one and offset zero; frames that are not used have no motion.
 

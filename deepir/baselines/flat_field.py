@@ -18,12 +18,7 @@ from deepir.result import Result
 
 @register("method", "flat_field")
 def flat_field(
-    burst: Burst,
-    config: Config,
-    *,
-    shutter: str | None = None,
-    cold: str | None = None,
-    hot: str | None = None,
+    burst: Burst, config: Config, *, shutter: str | None = None, cold: str | None = None, hot: str | None = None
 ) -> Result:
     """Calibrate with frames of a uniform shutter, or of a cold and a hot black body; then register and average.
 

@@ -107,11 +107,7 @@ class Model:
     precisions: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
     def estimate_precisions(
-        self,
-        average: Tensor,
-        scene: float | None = None,
-        gain: float | None = None,
-        bias: float | None = None,
+        self, average: Tensor, scene: float | None = None, gain: float | None = None, bias: float | None = None
     ) -> None:
         """Set the precisions: as given, or estimated from the registered average and the residuals of the frames.
 

@@ -11,14 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from deepir.baselines.average import (
-    Array,
-    average,
-    average_frames,
-    correct_and_average,
-    fill_invalid,
-    register_burst,
-)
+from deepir.baselines.average import Array, average, average_frames, correct_and_average, fill_invalid, register_burst
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.registry import register

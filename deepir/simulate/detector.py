@@ -40,12 +40,8 @@ def bolometer_pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.n
     def relative(name: str) -> np.ndarray:
         return np.maximum(1 + CONSTANT_SIGMAS[name] * rng.standard_normal(settings.shape), 0.05)
 
-    alpha, beta, resistance = (
-        relative("absorption"),
-        relative("temperature coefficient"),
-        relative("resistance"),
-    )
-    conductance, capacity = relative("conductance"), relative("capacity")
+    names = ("absorption", "temperature coefficient", "resistance", "conductance", "capacity")
+    alpha, beta, resistance, conductance, capacity = map(relative, names)
     current = 1 + CONSTANT_SIGMAS["current"] * rng.standard_normal((1, settings.shape[1]))
     gain = current * alpha * beta * resistance / conductance
     gain, slowness = gain / gain.mean(), capacity / conductance

@@ -19,14 +19,7 @@ from deepir.simulate.planes import World, render_view
 from deepir.simulate.settings import RecordingSettings
 from deepir.simulate.worlds import world
 
-__all__ = [
-    "Recording",
-    "RecordingSettings",
-    "RecordingTruth",
-    "residual_map",
-    "residual_pattern",
-    "simulate_recording",
-]
+__all__ = ["Recording", "RecordingSettings", "RecordingTruth", "residual_map", "residual_pattern", "simulate_recording"]
 
 CLOSURE_DURATION = 0.1  # s that the shutter stays closed
 AGC_TIME_CONSTANT = 0.5  # s; time constant of the automatic gain control
@@ -145,11 +138,7 @@ def shutter_closures(settings: RecordingSettings) -> np.ndarray:
 
 
 def drifting_offsets(
-    settings: RecordingSettings,
-    gain: np.ndarray,
-    offset: np.ndarray,
-    closed: np.ndarray,
-    rng: np.random.Generator,
+    settings: RecordingSettings, gain: np.ndarray, offset: np.ndarray, closed: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
     """The offset of each frame, counts.
 

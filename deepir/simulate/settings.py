@@ -26,13 +26,7 @@ CHOICES = {
 }
 
 #: Largest values, px: the size of the drawn scene or of the blur kernel grows with them.
-MAX_LENGTHS = {
-    "max_shift": 2000,
-    "psf_sigma": 50,
-    "airy_radius": 50,
-    "defocus_radius": 50,
-    "motion_blur": 200,
-}
+MAX_LENGTHS = {"max_shift": 2000, "psf_sigma": 50, "airy_radius": 50, "defocus_radius": 50, "motion_blur": 200}
 MAX_SAMPLES = 2**30  # samples of all frames: intermediate arrays then fit into a large memory
 FRAME_SIDE_LIMITS = (16, 2048)  # least and largest height and width of a recording's frame, px
 

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.paths import (
-    CAMERA_HEIGHTS,
-    CAMERA_SPEEDS,
-    LANE_CENTRE,
-    MAX_PAN_YAW,
-    PAVEMENT_CENTRE,
-)
+from deepir.simulate.paths import CAMERA_HEIGHTS, CAMERA_SPEEDS, LANE_CENTRE, MAX_PAN_YAW, PAVEMENT_CENTRE
 from deepir.simulate.planes import AHEAD, DOWN, RIGHT, Surface, Texture, World, cut_out, texture
 from deepir.simulate.scenes.objects import Canvas, fractal_noise, house, person, tree
 from deepir.simulate.scenes.procedural import procedural
@@ -213,10 +207,8 @@ def people(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> 
     """People on the pavements who cross the street or walk along it."""
     found = []
     for k in range(settings.objects // 2):
-        side, meets = (
-            (-1) ** k,
-            settings.duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1),
-        )
+        side = (-1) ** k
+        meets = settings.duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1)
         away = rng.uniform(9, 16) + CAMERA_SPEEDS[settings.kind] * meets
         if k % 2:  # across
             velocity = -side * WALKING_SPEED * RIGHT
@@ -229,11 +221,7 @@ def people(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> 
 
 
 def people_across(
-    settings: RecordingSettings,
-    seed: int,
-    rng: np.random.Generator,
-    reach: float,
-    tall: float,
+    settings: RecordingSettings, seed: int, rng: np.random.Generator, reach: float, tall: float
 ) -> list[Surface]:
     """People who pass before a camera at rest.
 
@@ -246,10 +234,8 @@ def people_across(
     """
     found = []
     for k in range(settings.objects):
-        away, way = (
-            CAMERA_HEIGHTS[settings.kind] / (tall * rng.uniform(*FEET_POSITIONS)),
-            rng.choice([-1.0, 1.0]),
-        )
+        away = CAMERA_HEIGHTS[settings.kind] / (tall * rng.uniform(*FEET_POSITIONS))
+        way = rng.choice([-1.0, 1.0])
         meets = settings.duration * (k + rng.uniform(0, 1)) / settings.objects
         velocity = way * WALKING_SPEED * rng.uniform(0.7, 1.3) * RIGHT
         start = np.array([away * np.tan(reach * rng.uniform(-0.9, 0.9)), 0, away]) - velocity * meets

@@ -17,10 +17,7 @@ from deepir.simulate.scenes.procedural import procedural
 
 #: Pictures of scikit-image for training; all others are for tuning and benchmarks.
 PHOTOGRAPHS = ("brick", "cell", "chelsea", "coffee", "hubble_deep_field", "retina")
-BENCHMARK_PHOTOGRAPHS = (
-    "chelsea",
-    "coffee",
-)  # test pictures of benchmarks/record.py: no rival learns from them
+BENCHMARK_PHOTOGRAPHS = ("chelsea", "coffee")  # test pictures of benchmarks/record.py: no rival learns from them
 FIRST_SCENE_SEED = 1000  # seed of the first drawn scene; smaller seeds are for tuning and benchmarks
 SCENE_COUNT = 160  # drawn scenes
 BATCH_SIZE = 8  # crops of an iteration

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.gradients import (
-    estimate_bias,
-    legendre_products,
-    multiview_tv,
-    multiview_tv_recursive,
-)
+from deepir.baselines.gradients import estimate_bias, legendre_products, multiview_tv, multiview_tv_recursive
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture
 
@@ -24,13 +19,7 @@ def sim():
     return simulate(
         None,
         Settings(
-            n_frames=40,
-            shape=(48, 64),
-            own_scenes=True,
-            gain_pixel=0.0,
-            gain_column=0.0,
-            shading=0.0,
-            dead_pixels=0.0,
+            n_frames=40, shape=(48, 64), own_scenes=True, gain_pixel=0.0, gain_column=0.0, shading=0.0, dead_pixels=0.0
         ),
         seed=1,
     )

@@ -69,9 +69,7 @@ def test_in_bfloat16_nothing_of_the_skip_network_is_padded_or_doubled_in_float32
     for name in ("pad", "interpolate"):
         whole = getattr(torch.nn.functional, name)
         monkeypatch.setattr(
-            torch.nn.functional,
-            name,
-            lambda x, *a, whole=whole, **k: seen.append(x.dtype) or whole(x, *a, **k),
+            torch.nn.functional, name, lambda x, *a, whole=whole, **k: seen.append(x.dtype) or whole(x, *a, **k)
         )
     net = Skip(4, [8, 8])
     with torch.autocast("cpu", torch.bfloat16):
