@@ -64,17 +64,18 @@ def render(
     return frames
 
 
-def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
-    """A scene as a picture (height, width).
+def draw_scene(scene: Scene | Sequence[Scene], motion: np.ndarray, settings: Settings) -> tuple[np.ndarray, float]:
+    """A scene as a picture (height, width), and its px per detector px.
 
     Args:
         scene: A picture, or a function that draws one of a given shape.
-        reach: (y, x), extent from the centre that the frames see, detector px.
+        motion: (N, 3, 3), pull homographies of the frames, px.
         settings: The camera.
 
     Raises:
-        DataError: It is not a picture in [0, 1].
+        DataError: It is not a picture in [0, 1], or too small for the frames.
     """
+    reach = visible_reach(motion, settings)
     if callable(scene):
         height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
         scene = scene((int(height), int(width)))
@@ -83,7 +84,7 @@ def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Sett
     picture = np.asarray(scene, float)
     if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
         raise DataError(f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}")
-    return picture
+    return picture, picture_scale(picture.shape, reach, settings)
 
 
 def render_reference(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:

@@ -12,8 +12,8 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
+from deepir.simulate.burst import Simulated
 from deepir.simulate.detector import expose, fixed_pattern, lagged, sensor_parts
-from deepir.simulate.files import Simulated
 from deepir.simulate.paths import CameraPath, camera_path
 from deepir.simulate.planes import World, render_view
 from deepir.simulate.settings import RecordingSettings

@@ -82,6 +82,11 @@ class Sensor:
                 f"{self.section}: {samples:.3g} samples (n_frames times shape); at most {MAX_SAMPLES:.3g} are simulated"
             )
 
+    @property
+    def range(self) -> float:
+        """Flux between scene values 0 and 1, in the data's units."""
+        return self.contrast
+
 
 @dataclass(frozen=True)
 class Settings(Sensor):
@@ -220,11 +225,6 @@ class RecordingSettings(Sensor):
             )
         if self.dead_pixels > 0.5:
             raise ConfigError(f"recording.dead_pixels = {self.dead_pixels:g}: a fraction up to 0.5 is needed")
-
-    @property
-    def range(self) -> float:
-        """Flux between scene values 0 and 1, counts."""
-        return self.contrast
 
     @property
     def duration(self) -> float:
