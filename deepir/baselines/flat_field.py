@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from deepir.baselines.average import Array, correct_and_average
+from deepir.baselines.rival import Array, correct_and_average
 from deepir.burst import Burst
 from deepir.calibration import maps_from_flats, mean_frame
 from deepir.config import Config

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from pydantic import Field
 
-from deepir.baselines.average import Array
-from deepir.baselines.rival import estimate_offset, filled_frames, last_of, rival, subtract_and_average
+from deepir.baselines.rival import Array, estimate_offset, filled_frames, last_of, rival, subtract_and_average
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.kernels.block_means import block_means

@@ -10,8 +10,17 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.baselines.average import Array, fill_invalid, sampling_points, to_indices
-from deepir.baselines.rival import estimate_pattern, estimate_registered_pattern, last_of, normalise, rival
+from deepir.baselines.rival import (
+    Array,
+    estimate_pattern,
+    estimate_registered_pattern,
+    fill_invalid,
+    last_of,
+    normalise,
+    rival,
+    sampling_points,
+    to_indices,
+)
 
 #: Limits of the training input, in ranges of the frames; stuck pixels beyond them would diverge.
 INPUT_LIMITS = (-1.0, 2.0)

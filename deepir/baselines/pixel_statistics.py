@@ -8,8 +8,17 @@ import numpy as np
 from scipy import ndimage
 from scipy.fft import dctn, idctn
 
-from deepir.baselines.average import Array, fill_invalid, registered_mean, sampling_points, to_indices
-from deepir.baselines.rival import estimate_pattern, estimate_registered_pattern, last_of, rival
+from deepir.baselines.rival import (
+    Array,
+    estimate_pattern,
+    estimate_registered_pattern,
+    fill_invalid,
+    last_of,
+    registered_mean,
+    rival,
+    sampling_points,
+    to_indices,
+)
 
 FRAMES = 64  # frames of a long recording that are used, evenly spread
 REWEIGHTINGS = 3

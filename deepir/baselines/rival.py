@@ -1,4 +1,4 @@
-"""How a function that corrects frames, or estimates pattern or scene, becomes a method."""
+"""How a function of arrays becomes a method: what it is given, and how frames are registered and averaged after it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,31 @@ import dataclasses
 import functools
 import inspect
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
+import torch
+from scipy import ndimage
 
-from deepir.baselines.average import Array, average, average_frames, correct_and_average, fill_invalid, register_burst
+from deepir.arrays.windows import fill_nearest
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.registry import register
-from deepir.result import Result
+from deepir.operators.motion_models import homographies
+from deepir.optim.objective import held_out_error, hold_out
+from deepir.pipeline.prior_refinement import registered_average
+from deepir.pipeline.register import motion_messages, register_frames
+from deepir.registry import lookup, register
+from deepir.result import Result, neutral, to_gauge
 
+Array = np.ndarray[Any, Any]
+#: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+Registration = tuple[torch.Tensor | None, Array, list[str]]
 State = TypeVar("State")
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+GAIN_LIMITS = (0.2, 5.0)  # least and largest gain of a usable pixel, in medians of all gains
 
 
 def rival(name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result]) -> Callable[[Function], Function]:
@@ -93,9 +105,184 @@ def subtract_and_average(burst: Burst, config: Config, offset: Array) -> Result:
     """Subtract an offset (h, w) from the frames, then as `average`."""
     offset = offset - offset[~burst.bad_pixels].mean()
     frames = (burst.frames - offset).astype(np.float32)
-    result: Result = average(dataclasses.replace(burst, frames=frames), config)
+    result = average(dataclasses.replace(burst, frames=frames), config)
     result.offset = offset.astype(np.float32)
     return result
+
+
+@register("method", "average")
+def average(burst: Burst, config: Config) -> Result:
+    """Register the frames of a scene and average them; gain and offset stay as they are."""
+    found = register_burst(burst, config)
+    result = average_frames(burst, config, burst.frames, found)
+    if "scene" not in burst.truth and found[1].sum() > 1:
+        result.metrics["held_out_rmse"] = _held_out_error(burst, config, found)
+    return result
+
+
+def register_burst(burst: Burst, config: Config) -> Registration:
+    """Register a burst; its fixed pattern does not disturb the registration.
+
+    Returns:
+        Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+    """
+    recipe = lookup("problem", config.problem, "problem")()
+    motion, used, messages = register_frames(burst, config, recipe)
+    if recipe.motion and motion is not None:
+        messages += motion_messages(motion[torch.from_numpy(used)], burst.size)
+    return motion, used, messages
+
+
+def average_frames(burst: Burst, config: Config, frames: Array, registration: Registration | None = None) -> Result:
+    """Register a burst and average its corrected frames.
+
+    Args:
+        burst: The burst as recorded, which is registered.
+        config: Its configuration.
+        frames: (N, h, w), its frames after correction.
+        registration: The result of `register_burst`, if it is known.
+
+    Returns:
+        The average as the scene; gain one, offset zero.
+    """
+    motion, used, messages = registration or register_burst(burst, config)
+    kept = dataclasses.replace(burst, frames=frames[used].astype(np.float32), valid=burst.valid[used])
+    problem, geometry = build(config, kept, None if motion is None else motion[used])
+    if motion is not None:
+        good = kept.valid & ~kept.bad_pixels
+        scene = registered_mean(kept.frames, good, motion[used].numpy(), geometry.ratio)
+    else:
+        with torch.no_grad():
+            mean, weight = problem.backproject(problem.values())
+            scene = geometry.crop(fill_nearest(mean, weight > 0.3 * weight.max()))
+    poses = None if motion is None else homographies(problem.values()["motion"]).detach().numpy()
+    return result_of(burst, scene.numpy(), used, poses, messages=messages)
+
+
+def result_of(
+    burst: Burst, scene: Array, used: Array, motion: Array | None, *, iterations: int = 0, messages: Sequence[str] = ()
+) -> Result:
+    """The result of a rival with gain one and offset zero; frames that are not used have no motion.
+
+    Args:
+        burst: The burst.
+        scene: (H, W).
+        used: (N,) bool, frames in the scene.
+        motion: (K, 3, 3) of the K frames that are used; None: none.
+        iterations: Number of iterations.
+        messages: Of the registration.
+    """
+    result = neutral(scene, len(used), burst.size, burst.bad_pixels)
+    if motion is not None:
+        result.motion[used], result.motion[~used] = motion, float("nan")
+    result.frames_used, result.messages = used, list(messages)
+    result.metrics = {"iterations": iterations, "evaluations": iterations, "stop_reason": "converged"}
+    return result
+
+
+@torch.no_grad()
+def _held_out_error(burst: Burst, config: Config, registration: Registration) -> float:
+    """Root mean square error at held-out samples, which the average of the others predicts: what stands for a truth."""
+    motion, used, _ = registration
+    kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used], clipped=None)
+    problem, _ = build(config, kept, None if motion is None else motion[used])
+    hold_out(problem, config.seed)
+    problem.fields["scene"].init_from(registered_average(problem))
+    return held_out_error(problem)
+
+
+def correct_and_average(
+    burst: Burst, config: Config, gain: Array, offset: Array, registration: Registration | None = None
+) -> Result:
+    """Correct the frames for gain and offset, then register and average them.
+
+    Args:
+        burst: The burst as recorded.
+        config: Its configuration.
+        gain: (h, w), in any gauge.
+        offset: (h, w), in the data's units.
+        registration: The result of `register_burst`, if it is known.
+
+    Returns:
+        The average, gain and offset; pixels with a gain outside `GAIN_LIMITS` are bad.
+    """
+    registration = registration or register_burst(burst, config)
+    gain = gain / np.median(gain[~burst.bad_pixels])
+    good = ~burst.bad_pixels & (gain > GAIN_LIMITS[0]) & (gain < GAIN_LIMITS[1])
+    gain = np.where(good, gain, 1.0)
+    burst = dataclasses.replace(burst, bad_pixels=~good)
+    result = average_frames(burst, config, (burst.frames - offset) / gain, registration)
+    result.gain, result.offset = gain, offset
+    to_gauge(result)
+    return result
+
+
+def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
+    """Mean of registered frames on frame 0's grid or a finer one, by cubic spline interpolation.
+
+    Args:
+        frames: (N, h, w), in the data's units.
+        valid: (N, h, w) bool.
+        motion: (N, 3, 3), pull homographies in px about the frame's centre.
+        ratio: Grid points per px along an axis.
+
+    Returns:
+        (ratio h, ratio w), float64; points that no frame shows take the nearest value.
+    """
+    height, width = (round(ratio * side) for side in frames.shape[1:])
+    total, count = np.zeros((2, height, width))
+    for frame, good, back in zip(fill_invalid(frames, valid), valid, np.linalg.inv(motion), strict=True):
+        at = to_indices(sampling_points(back, (height, width), ratio), frame.shape)
+        seen = ndimage.map_coordinates(good.astype(np.float32), at, order=1, cval=0) > 0.99
+        total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
+        count += seen
+    mean = torch.from_numpy(total / count.clip(min=1))[None, None]
+    return fill_nearest(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
+
+
+def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Points of frame 0 at which the pixels of a frame look.
+
+    Args:
+        motion: (3, 3), pull homography in px about the centre.
+        size: Height and width of the grid, grid points.
+        ratio: Grid points per px along an axis.
+
+    Returns:
+        (2, h, w): y and x, px from the centre.
+    """
+    y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
+    at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
+    return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
+
+
+def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Array indices of points.
+
+    Args:
+        places: (2, ...), y and x in px from the centre.
+        shape: Height and width of the array.
+        ratio: Grid points of the array per px.
+
+    Returns:
+        (2, ...): row and column.
+    """
+    middle = (np.array(shape) - 1) / 2
+    return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
+
+
+def fill_invalid(frames: Array, valid: Array) -> Array:
+    """Frames whose invalid samples take the value of the nearest valid one.
+
+    Args:
+        frames: (N, h, w).
+        valid: (N, h, w) bool.
+
+    Returns:
+        (N, h, w).
+    """
+    pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
+    return np.stack([fill_nearest(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs])
 
 
 def filled_frames(burst: Burst) -> Array:

@@ -11,8 +11,7 @@ from scipy import ndimage
 
 from deepir import weights
 from deepir.arrays.statistics import noise_in_flat_windows
-from deepir.baselines.average import Array, average_frames
-from deepir.baselines.rival import correct_frames, filled_frames, normalise, rival
+from deepir.baselines.rival import Array, average_frames, correct_frames, filled_frames, normalise, rival
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.denoisers.dct import dct
