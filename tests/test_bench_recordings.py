@@ -100,38 +100,19 @@ def test_more_noise_or_less_motion_raise_the_limit():
     assert np.abs(at_rest).max() < 1e-6 * len(shifts) * 16
 
 
-def row(method, low, likeness, **more):
-    figures = {
-        "low": low,
-        "fine": 0.5,
-        "likeness": likeness,
-        "raw likeness": 0.9,
-        "seconds": 2.0,
-        "CPU seconds": 1.0,
-    }
-    return {
-        "family": "drive",
-        "name": "a",
-        "seed": 0,
-        "method": method,
-        "status": "done",
-        "kept": "",
-        **figures,
-        **more,
-    }
-
-
+RUN = {"family": "drive", "name": "a", "seed": 0, "method": "correct", "status": "done", "kept": ""}
+FIGURES = {"fine": 0.5, "raw likeness": 0.9, "seconds": 2.0, "CPU seconds": 1.0}
 ROWS = [
-    row("correct", 0.5, 0.99),
-    row("correct", 1.5, 0.80, name="b"),
-    row("correct", 0.1, 0.95, name="c", **{"bad, false": 0.01}),
-    {"family": "drive", "name": "d", "seed": 0, "method": "correct", "status": "refused: no", "kept": ""},
-    row("mean", 0.4, 0.5),
+    RUN | FIGURES | {"low": 0.5, "likeness": 0.99},
+    RUN | FIGURES | {"low": 1.5, "likeness": 0.80, "name": "b"},
+    RUN | FIGURES | {"low": 0.1, "likeness": 0.95, "name": "c", "bad, false": 0.01},
+    RUN | {"name": "d", "status": "refused: no"},
+    RUN | FIGURES | {"low": 0.4, "likeness": 0.5, "method": "mean"},
 ]
 
 
-def test_a_table_counts_what_is_refused_and_what_is_worse():
-    from recordings_tables import summary
+def test_a_table_counts_what_is_refused_and_what_is_worse_and_a_line_says_how_it_ended():
+    from recordings_tables import line, summary
 
     text = "\n".join(summary(ROWS))
     assert "## Drive: 4 recordings, seeds 0" in text
@@ -139,13 +120,8 @@ def test_a_table_counts_what_is_refused_and_what_is_worse():
         "| correct | 1 | 1, 0, 1 of 3 | 0.500 (1.50) |  | 0.500 (0.50) | 0.950 (0.80) | 0.900 | 1.000 (1.00) |" in text
     )
     assert "Best low: `mean` (0.400); ahead of `correct`: `mean`. Best fine: `correct` (0.500). Best likeness" in text
-
-
-def test_a_line_says_how_it_ended():
-    from recordings_tables import line
-
     assert line(ROWS[3]) == "drive 0: d: correct: refused: no"
-    assert "low 0.5, fine 0.5, likeness 0.99, raw likeness 0.9; 2.00 s, CPU 1.00 s" in line(ROWS[0])
+    assert "fine 0.5, low 0.5, likeness 0.99, raw likeness 0.9; 2.00 s, CPU 1.00 s" in line(ROWS[0])
 
 
 def test_every_family_has_recordings_or_a_reason():
