@@ -38,16 +38,14 @@ def test_the_halves_share_no_picture_and_no_seed_and_every_regime_fits_its_pictu
                 assert picture_scale(shapes[regime.picture(half)], visible_reach(motion, settings), settings) >= 1.2
 
 
-@pytest.mark.parametrize("effect", [{"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05}])
-def test_known_effects_do_not_lower_the_oracle(effect, monkeypatch):
+def test_known_effects_do_not_lower_the_oracle(monkeypatch):
     from nuc_oracle import oracle
 
     monkeypatch.setattr("nuc_oracle.ITERATIONS", 30)
-    clean, disturbed = (
-        oracle(simulate(SCENE, dataclasses.replace(SMALL, **each), seed=1), SCENE) for each in ({}, effect)
-    )
+    effects = ({}, {"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05})
+    clean, *disturbed = (oracle(simulate(SCENE, dataclasses.replace(SMALL, **each), seed=1), SCENE) for each in effects)
     # Noise alone costs 1.8 dB where one frame of three is left out.
-    assert disturbed > clean - 2.2
+    assert min(disturbed) > clean - 2.2
 
 
 def test_the_oracles_noise_is_that_of_the_frames():

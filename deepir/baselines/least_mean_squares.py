@@ -24,8 +24,7 @@ from deepir.baselines.rival import (
 
 #: Limits of the training input, in ranges of the frames; stuck pixels beyond them would diverge.
 INPUT_LIMITS = (-1.0, 2.0)
-#: M of the step size; the step is half the rate at a local deviation of a tenth of the range.
-EDGE_SENSITIVITY = 10.0
+EDGE_SENSITIVITY = 10.0  # M of the step size; the step is half the rate at a local deviation of a tenth of the range
 
 Rate = Annotated[float, Field(gt=0, lt=1)]
 Passes = Annotated[int, Field(ge=1)]

@@ -12,12 +12,9 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.registry import register
 
-#: Side of the pixel blocks that become channels, px.
-FOLD = 2
-#: Padding beyond the border, px: its influence does not reach further.
-PADDING = 16
-#: Largest change of a pixel, noise standard deviations: noise does not reach further.
-MAX_CHANGE_SIGMAS = 4.0
+FOLD = 2  # side of the pixel blocks that become channels, px
+PADDING = 16  # padding beyond the border, px: its influence does not reach further
+MAX_CHANGE_SIGMAS = 4.0  # largest change of a pixel, noise standard deviations: noise does not reach further
 
 
 class Residual(nn.Module):

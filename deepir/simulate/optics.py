@@ -340,5 +340,4 @@ def edge(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) ->
     return special.ndtr((x * np.cos(angle) + y * np.sin(angle) - place) / blur)
 
 
-#: Shapes by their name in the settings.
-STRAY_SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}
+STRAY_SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}  # shapes by their name in the settings

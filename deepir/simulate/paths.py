@@ -10,8 +10,7 @@ from deepir.simulate.settings import RecordingSettings
 
 WANDER_WAVES = 12  # sinusoids in a random course
 CAMERA_SPEEDS = {"drive": 12.0, "walk": 1.4, "drone": 8.0}  # m/s, by kind of recording
-#: M above the ground.
-CAMERA_HEIGHTS = {"drive": 1.4, "walk": 1.65, "pan": 3.5, "tripod": 3.5, "drone": 40.0}
+CAMERA_HEIGHTS = {"drive": 1.4, "walk": 1.65, "pan": 3.5, "tripod": 3.5, "drone": 40.0}  # m above the ground
 LANE_CENTRE = 1.75  # x of the middle of the car's lane, m
 PAVEMENT_CENTRE = 6.2  # x of pedestrians, m
 WALK_YAW = -12.0  # yaw of a camera that is carried along the pavement, towards the street, degrees

@@ -32,8 +32,7 @@ MAX_GRADIENT_NORM = 1.0  # norm to which gradients are clipped
 WARM_UP_ITERATIONS = 200  # iterations in which the step size grows to its full value
 NOISE_RANGE = (0.003, 0.15)  # standard deviations, in ranges of a picture; log-uniform
 COLUMN_GAIN_RANGE = (0.01, 0.25)  # standard deviations of the column gains; log-uniform
-#: Standard deviations of the column offsets, in ranges of a picture; log-uniform.
-COLUMN_OFFSET_RANGE = (0.005, 0.15)
+COLUMN_OFFSET_RANGE = (0.005, 0.15)  # standard deviations of the column offsets, in ranges of a picture; log-uniform
 STRIPED_NOISE_RANGE = (0.001, 0.1)  # standard deviations of white noise under stripes; log-uniform
 ENLARGEMENT_FACTORS = (2, 3, 4)  # reductions of a crop; one network learns all
 MIN_LOST_DETAIL = 1e-3  # least mean loss of detail, in ranges of a picture, by which errors are divided

@@ -12,8 +12,7 @@ from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
-#: Initial standard deviation of the features.
-INITIAL_FEATURE_SIGMA = 1e-2
+INITIAL_FEATURE_SIGMA = 1e-2  # initial standard deviation of the features
 
 
 @register("field", "grid")

@@ -239,8 +239,7 @@ def _landscape(c: Canvas) -> None:
     person(c, 0.86 * c.aspect, 0.92, 0.26, 0.1)
 
 
-#: Painters of the kinds of scenes; the seed chooses one.
-SCENE_PAINTERS = (_street, _front, _machinery, _landscape)
+SCENE_PAINTERS = (_street, _front, _machinery, _landscape)  # painters of the kinds of scenes; the seed chooses one
 
 
 #: Functions that draw a scene of a given seed and shape: `procedural:3`.
