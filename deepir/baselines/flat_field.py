@@ -26,8 +26,6 @@ def flat_field(
     bodies and the offset from the shutter.
 
     Args:
-        burst: The burst to correct.
-        config: Its configuration.
         shutter: File of frames of a uniform shutter.
         cold: File of frames of a cold black body.
         hot: File of frames of a hot black body.
@@ -53,11 +51,7 @@ def flat_field(
 
 
 def read_flat(path: str, option: str, size: tuple[int, int]) -> Array:
-    """Mean (h, w) of the frames of a file.
-
-    Raises:
-        DataError: The frames differ from `size` (h, w).
-    """
+    """Mean (h, w) of the frames of a file; a DataError if they differ from `size` (h, w)."""
     found = mean_frame(stream_frames(path), path)
     if found.shape != size:
         raise DataError(

@@ -50,8 +50,6 @@ def hardie_droege2007(
     Deviations that are not given are estimated from the burst. The registration is deepir's.
 
     Args:
-        burst: The burst to correct.
-        config: Its configuration.
         scene: Standard deviation sigma_z of D z, in the data's units.
         gain: Standard deviation sigma_g of the gain.
         offset: Standard deviation sigma_b of the bias, in the data's units.

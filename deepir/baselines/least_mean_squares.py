@@ -104,15 +104,7 @@ def irlms(
 
 
 def learn_correction(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
-    """Weight and bias that correct normalised frames; arguments as in `irlms`.
-
-    Args:
-        frames: (N, h, w), from about zero to about one.
-        motion: (N, 3, 3), pull homographies in px about the centre.
-
-    Returns:
-        Weight and bias, (h, w).
-    """
+    """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one, with motion as in `irlms`."""
     frames = frames.clip(*INPUT_LIMITS)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     for before, now in itertools.pairwise(frame_sequence(len(frames), passes)):

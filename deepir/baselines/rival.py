@@ -39,7 +39,8 @@ def rival(name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result])
     Args:
         name: Name of the method.
         how: What the function is given, and how the burst is corrected by what it returns: `correct_frames`,
-            `estimate_pattern`, `estimate_offset`, `estimate_registered_pattern` or `estimate_scene`.
+            `estimate_pattern`, `estimate_offset`, `estimate_mean_offset`, `estimate_registered_pattern` or
+            `estimate_scene`.
 
     Returns:
         The decorator; keyword-only arguments of the function are the options of the method.
@@ -74,6 +75,11 @@ def estimate_pattern(burst: Burst, config: Config, estimate: Callable[[Array], t
 def estimate_offset(burst: Burst, config: Config, estimate: Callable[[Array], Array]) -> Result:
     """Subtract the offset (h, w) of frames (N, h, w), then as `average`; the gain stays one."""
     return subtract_and_average(burst, config, estimate(burst.frames))
+
+
+def estimate_mean_offset(burst: Burst, config: Config, estimate: Callable[[Array], Array]) -> Result:
+    """Subtract the mean of the offsets (h, w) of each frame (h, w) by itself, then as `average`; the gain stays one."""
+    return subtract_and_average(burst, config, np.mean([estimate(frame) for frame in filled_frames(burst)], axis=0))
 
 
 def estimate_registered_pattern(
@@ -121,11 +127,7 @@ def average(burst: Burst, config: Config) -> Result:
 
 
 def register_burst(burst: Burst, config: Config) -> Registration:
-    """Register a burst; its fixed pattern does not disturb the registration.
-
-    Returns:
-        Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
-    """
+    """Motion, used frames and messages of a burst; its fixed pattern does not disturb the registration."""
     recipe = lookup("problem", config.problem, "problem")()
     motion, used, messages = register_frames(burst, config, recipe)
     if recipe.motion and motion is not None:
@@ -134,16 +136,9 @@ def register_burst(burst: Burst, config: Config) -> Registration:
 
 
 def average_frames(burst: Burst, config: Config, frames: Array, registration: Registration | None = None) -> Result:
-    """Register a burst and average its corrected frames.
+    """Register a burst as recorded, unless its registration is known, and average its corrected frames (N, h, w).
 
-    Args:
-        burst: The burst as recorded, which is registered.
-        config: Its configuration.
-        frames: (N, h, w), its frames after correction.
-        registration: The result of `register_burst`, if it is known.
-
-    Returns:
-        The average as the scene; gain one, offset zero.
+    The average is the scene; the gain is one, the offset zero.
     """
     motion, used, messages = registration or register_burst(burst, config)
     kept = dataclasses.replace(burst, frames=frames[used].astype(np.float32), valid=burst.valid[used])
@@ -162,16 +157,7 @@ def average_frames(burst: Burst, config: Config, frames: Array, registration: Re
 def result_of(
     burst: Burst, scene: Array, used: Array, motion: Array | None, *, iterations: int = 0, messages: Sequence[str] = ()
 ) -> Result:
-    """The result of a rival with gain one and offset zero; frames that are not used have no motion.
-
-    Args:
-        burst: The burst.
-        scene: (H, W).
-        used: (N,) bool, frames in the scene.
-        motion: (K, 3, 3) of the K frames that are used; None: none.
-        iterations: Number of iterations.
-        messages: Of the registration.
-    """
+    """A result with gain one, offset zero and a scene (H, W) of the K frames `used`, which have a motion (K, 3, 3)."""
     result = neutral(scene, len(used), burst.size, burst.bad_pixels)
     if motion is not None:
         result.motion[used], result.motion[~used] = motion, float("nan")
@@ -194,17 +180,9 @@ def _held_out_error(burst: Burst, config: Config, registration: Registration) ->
 def correct_and_average(
     burst: Burst, config: Config, gain: Array, offset: Array, registration: Registration | None = None
 ) -> Result:
-    """Correct the frames for gain and offset, then register and average them.
+    """Correct the frames for gain, in any gauge, and offset, (h, w) each; then register and average them.
 
-    Args:
-        burst: The burst as recorded.
-        config: Its configuration.
-        gain: (h, w), in any gauge.
-        offset: (h, w), in the data's units.
-        registration: The result of `register_burst`, if it is known.
-
-    Returns:
-        The average, gain and offset; pixels with a gain outside `GAIN_LIMITS` are bad.
+    Pixels with a gain outside `GAIN_LIMITS` are bad. A known `registration` is that of the frames as recorded.
     """
     registration = registration or register_burst(burst, config)
     gain = gain / np.median(gain[~burst.bad_pixels])
@@ -218,16 +196,10 @@ def correct_and_average(
 
 
 def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
-    """Mean of registered frames on frame 0's grid or a finer one, by cubic spline interpolation.
+    """Mean of registered frames on frame 0's grid or one `ratio` times as fine, by cubic spline interpolation.
 
-    Args:
-        frames: (N, h, w), in the data's units.
-        valid: (N, h, w) bool.
-        motion: (N, 3, 3), pull homographies in px about the frame's centre.
-        ratio: Grid points per px along an axis.
-
-    Returns:
-        (ratio h, ratio w), float64; points that no frame shows take the nearest value.
+    Of frames (N, h, w), their valid samples and their motion (N, 3, 3), pull homographies in px about the centre; gives
+    (ratio h, ratio w), float64. Points that no frame shows take the nearest value.
     """
     height, width = (round(ratio * side) for side in frames.shape[1:])
     total, count = np.zeros((2, height, width))
@@ -241,15 +213,9 @@ def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1
 
 
 def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
-    """Points of frame 0 at which the pixels of a frame look.
+    """Points (2, h, w) of frame 0, y and x in px from the centre, at which the pixels of a frame look.
 
-    Args:
-        motion: (3, 3), pull homography in px about the centre.
-        size: Height and width of the grid, grid points.
-        ratio: Grid points per px along an axis.
-
-    Returns:
-        (2, h, w): y and x, px from the centre.
+    By a pull homography (3, 3) in px about the centre, on a grid of `size` (h, w) with `ratio` points per px.
     """
     y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
     at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
@@ -257,30 +223,13 @@ def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) ->
 
 
 def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
-    """Array indices of points.
-
-    Args:
-        places: (2, ...), y and x in px from the centre.
-        shape: Height and width of the array.
-        ratio: Grid points of the array per px.
-
-    Returns:
-        (2, ...): row and column.
-    """
+    """Row and column (2, ...), in an array with `ratio` points per px, of y and x (2, ...) in px from the centre."""
     middle = (np.array(shape) - 1) / 2
     return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
 
 
 def fill_invalid(frames: Array, valid: Array) -> Array:
-    """Frames whose invalid samples take the value of the nearest valid one.
-
-    Args:
-        frames: (N, h, w).
-        valid: (N, h, w) bool.
-
-    Returns:
-        (N, h, w).
-    """
+    """Frames (N, h, w) whose samples that are not `valid` (N, h, w) take the value of the nearest valid one."""
     pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
     return np.stack([fill_nearest(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs])
 
@@ -291,14 +240,7 @@ def filled_frames(burst: Burst) -> Array:
 
 
 def normalise(frames: Array) -> tuple[Array, float, float]:
-    """Frames in units of their range.
-
-    Args:
-        frames: (N, h, w), in the data's units.
-
-    Returns:
-        Frames from about zero to about one, their lowest value and their range, in the data's units.
-    """
+    """Frames from about zero to about one, and their lowest value and their range in the data's units."""
     low, high = np.percentile(frames, [0.1, 99.9])
     span = float(high - low) or 1.0
     return (frames.astype(np.float64) - low) / span, float(low), span

@@ -197,12 +197,7 @@ def simulate(
 def render_own_scenes(
     scenes: Scene | Sequence[Scene] | None, settings: Settings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Render one frame of each scene.
-
-    Args:
-        scenes: One for each frame; None: drawn with seeds of `rng`.
-        settings: The camera.
-        rng: Random stream of the scenes.
+    """Render one frame of each scene; None: they are drawn with seeds of `rng`.
 
     Returns:
         Flux of each frame in ranges, (N, H, W); the same on the truth's grid; picture px per detector px of frame 0.

@@ -129,12 +129,9 @@ def visible_reach(motion: np.ndarray, settings: Settings) -> np.ndarray:
 
 
 def picture_scale(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
-    """Picture px per detector px: the setting, or the largest that fits.
+    """Picture px per detector px: the setting, or the largest at which the frames' `reach` fits into a picture.
 
-    Args:
-        shape: Shape of the picture; two px at each side are for the spline.
-        reach: (y, x), extent from the centre that the frames see, detector px.
-        settings: The camera.
+    Two px at each side of the picture are for the spline.
 
     Raises:
         DataError: The picture is too small.
@@ -218,10 +215,7 @@ def _line(length: float, angle: float) -> np.ndarray:
 
 
 def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Random hills, scaled so that nearness is within [0, 1].
-
-    Returns:
-        (K, 4): x and y in detector px from the centre, width (px), height.
+    """Random hills (K, 4): x, y and width in detector px, and height, scaled so that nearness is within [0, 1].
 
     Raises:
         ConfigError: The hills would hide each other, or the camera does not shift.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from deepir.baselines.gradients import estimate_bias, legendre_products, multiview_tv, multiview_tv_recursive
+from deepir.baselines.gradients import legendre_products, low_order_bias, multiview_tv, multiview_tv_recursive
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture
 
@@ -76,20 +76,20 @@ def noise(scene):
 
 def test_a_quadratic_bias_of_plain_parts_is_found_and_least_squares_take_edges_for_it(scene, quadratic):
     frame = scene + quadratic + noise(scene)
-    sparser, sparse, square = ((estimate_bias(frame, exponent=p) - quadratic).std() for p in (0.7, 1.0, 2.0))
+    sparser, sparse, square = ((low_order_bias(frame, exponent=p) - quadratic).std() for p in (0.7, 1.0, 2.0))
     assert max(sparser, sparse) < 0.04 * quadratic.std()
     assert square > 5 * sparse
 
 
 def test_without_noise_it_is_exact_between_pixels_and_without_bias_a_frame_stays(scene, quadratic):
-    assert np.allclose(estimate_bias(scene + quadratic, block=1), quadratic, atol=1e-3 * quadratic.std())
-    assert estimate_bias(scene + noise(scene)).std() < NOISE
-    assert np.abs(estimate_bias(np.full((96, 128), 7.0))).max() == 0
+    assert np.allclose(low_order_bias(scene + quadratic, block=1), quadratic, atol=1e-3 * quadratic.std())
+    assert low_order_bias(scene + noise(scene)).std() < NOISE
+    assert np.abs(low_order_bias(np.full((96, 128), 7.0))).max() == 0
 
 
 def test_means_of_blocks_see_a_gradient_below_the_step_of_rounding(scene):
     slope = 4 * np.linspace(-1, 1, 128) * np.ones((96, 1))
-    fine, coarse = (estimate_bias(np.round(scene + slope + noise(scene) / 2), block=each) for each in (1, 8))
+    fine, coarse = (low_order_bias(np.round(scene + slope + noise(scene) / 2), block=each) for each in (1, 8))
     assert (coarse - slope).std() < 0.1 * slope.std() < (fine - slope).std()
 
 
@@ -98,7 +98,7 @@ def test_terms_have_no_constant_and_as_many_as_the_degree_allows_in_small_frames
     assert terms.shape == (9, 20, 30)
     assert np.allclose(terms.mean((1, 2)), 0)
     frame = np.random.default_rng(2).standard_normal((16, 16))
-    assert np.isfinite(estimate_bias(frame, degree=6)).all()
+    assert np.isfinite(low_order_bias(frame, degree=6)).all()
 
 
 def test_a_bias_that_is_added_to_a_burst_is_added_to_its_offset(quadratic):

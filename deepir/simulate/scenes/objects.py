@@ -12,14 +12,7 @@ Point = tuple[float, float]
 
 
 def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0) -> np.ndarray:
-    """Noise of unit variance with amplitude ~ 1 / frequency**slope.
-
-    Args:
-        rng: Random stream.
-        shape: Height and width.
-        slope: Exponent of the amplitude.
-        stretch: Length of the features along x over that along y.
-    """
+    """Noise of unit variance with amplitude ~ 1 / frequency**slope; features are `stretch` times as long along x."""
     height, width = (fft.next_fast_len(int(1.1 * n), real=True) for n in shape)  # larger: it must not wrap
     fy = fft.fftfreq(height)[:, None] * shape[0]  # cycles per picture height
     fx = fft.rfftfreq(width)[None, :] * shape[0] * stretch
