@@ -137,7 +137,7 @@ class Defect(IntEnum):
 def fixed_pattern(
     settings: Camera, rng: np.random.Generator, shading_rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gain, offset (data units) and defects of `dead_pixels`, (H, W) each; the shading of the gain has its own stream."""
+    """Gain, offset (data units) and defects of `dead_pixels`, (H, W) each; the gain's shading has its own stream."""
     sigmas = (settings.gain_pixel, settings.gain_column, settings.gain_row)
     normal, uniform = (sensor_parts(settings.shape, draw) for draw in (rng.standard_normal, rng.random))
     parts = normal if settings.gain_distribution == "normal" else [-part for part in uniform]
