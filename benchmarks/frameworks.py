@@ -27,7 +27,7 @@ import deepir
 from deepir import deepinv as adapters
 from deepir import operators as op
 from deepir import priors as pr
-from deepir.denoisers.ffdnet import ffdnet
+from deepir.denoisers.packages import ffdnet
 
 Array = np.ndarray[Any, Any]
 PICTURES = ("camera", "coins", "moon", "page", "clock", "brick")

@@ -21,7 +21,7 @@ PACKAGE = Path(deepir.__file__).parent
 #: A change of these makes other bursts ...
 CAMERA = ("simulate/*.py", "scenes.py", "drawing.py")
 #: ... and one of these other averages. (What else an average may depend on is not looked at: see `--fresh`.)
-REGISTRATION = ("registration/*.py", "operators/*.py", "baselines/average.py")
+REGISTRATION = ("registration/*.py", "operators/*.py", "baselines/rival.py")
 
 Arrays = dict[str, np.ndarray]
 

@@ -1,6 +1,6 @@
 """Adapters to and from the package deepinv, which is imported only where it is used.
 
-A denoiser of deepinv becomes one of deepir by `deepir.denoisers.unit_range.unit_range`.
+A denoiser of deepinv becomes one of deepir by `deepir.denoisers.packages.unit_range`.
 """
 
 from __future__ import annotations

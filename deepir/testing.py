@@ -21,11 +21,7 @@ Slots = Mapping[str, Tensor]
 
 
 def check_operator(
-    operator: Operator,
-    x: Tensor,
-    slots: Slots,
-    *,
-    reference: Callable[[Array, dict[str, Array]], Array] | None = None,
+    operator: Operator, x: Tensor, slots: Slots, *, reference: Callable[[Array, dict[str, Array]], Array] | None = None
 ) -> None:
     """Check shapes, types, devices, purity, linearity, adjoint, validity and gradients of an operator.
 
@@ -58,10 +54,7 @@ def _check_shapes(name: str, operator: Operator, x: Tensor, slots: Slots, y: Ten
     shape, n_frames = tuple(x.shape), len(y)
     said = operator.out_shape(shape, n_frames)
     _require(tuple(said) == y.shape, f"{name}: out_shape says {tuple(said)}, the output is {tuple(y.shape)}")
-    wanted, given = (
-        operator.slots(shape, n_frames),
-        {slot: tuple(value.shape) for slot, value in slots.items()},
-    )
+    wanted, given = (operator.slots(shape, n_frames), {slot: tuple(value.shape) for slot, value in slots.items()})
     _require(wanted == given, f"{name}: slots() says {wanted}, given are {given}")
     size = operator.in_size((y.shape[-2], y.shape[-1]))
     _require(tuple(size) == x.shape[-2:], f"{name}: in_size says {tuple(size)}, the input is {tuple(x.shape)}")
@@ -120,11 +113,7 @@ def _check_adjoint(name: str, operator: Operator, x: Tensor, slots: Slots) -> No
 
 
 def _check_reference(
-    name: str,
-    operator: Operator,
-    x: Tensor,
-    slots: Slots,
-    reference: Callable[[Array, dict[str, Array]], Array],
+    name: str, operator: Operator, x: Tensor, slots: Slots, reference: Callable[[Array, dict[str, Array]], Array]
 ) -> None:
     arrays = {slot: value.numpy() for slot, value in slots.items()}
     wanted = torch.from_numpy(np.asarray(reference(x.numpy(), arrays), float))

@@ -7,7 +7,9 @@ import pytest
 
 from deepir.simulate import Settings, simulate
 from deepir.simulate.optics import picture_scale, random_motion, visible_reach
+from deepir.simulate.scenes.procedural import procedural
 
+SCENE = procedural(2, (140, 160))
 SMALL = Settings(shape=(48, 56), n_frames=5, max_shift=4.0, shading=0.0, dead_pixels=0.0)
 
 
@@ -16,17 +18,12 @@ def folder(benchmarks, monkeypatch, tmp_path):
     monkeypatch.setattr("nuc_store.FOLDER", tmp_path)
 
 
-def test_the_halves_share_no_picture_and_no_seed():
-    from nuc_regimes import REGIMES, SEEDS
+def test_the_halves_share_no_picture_and_no_seed_and_every_regime_fits_its_pictures():
+    from nuc_regimes import REGIMES, SEEDS, picture
 
     a, b = ({regime.picture(half) for regime in REGIMES.values()} for half in "AB")
     assert not a & b
     assert not set(SEEDS["A"]) & set(SEEDS["B"])
-
-
-def test_every_regime_fits_its_pictures():
-    from nuc_regimes import REGIMES, SEEDS, picture
-
     shapes = {}
     for name in {regime.picture(half) for regime in REGIMES.values() for half in "AB"}:
         grey = picture(name)
@@ -41,30 +38,22 @@ def test_every_regime_fits_its_pictures():
                 assert picture_scale(shapes[regime.picture(half)], visible_reach(motion, settings), settings) >= 1.2
 
 
-@pytest.mark.parametrize("effect", [{"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05}])
-def test_known_effects_do_not_lower_the_oracle(effect, monkeypatch):
+def test_known_effects_do_not_lower_the_oracle(monkeypatch):
     from nuc_oracle import oracle
 
-    from deepir.simulate.scenes.procedural import procedural
-
     monkeypatch.setattr("nuc_oracle.ITERATIONS", 30)
-    scene = procedural(2, (140, 160))
-    clean, disturbed = (
-        oracle(simulate(scene, dataclasses.replace(SMALL, **each), seed=1), scene) for each in ({}, effect)
-    )
+    effects = ({}, {"walker": 0.5}, {"failed_frame": 2}, {"dead_pixels": 0.01}, {"level_drift": 0.05})
+    clean, *disturbed = (oracle(simulate(SCENE, dataclasses.replace(SMALL, **each), seed=1), SCENE) for each in effects)
     # Noise alone costs 1.8 dB where one frame of three is left out.
-    assert disturbed > clean - 2.2
+    assert min(disturbed) > clean - 2.2
 
 
 def test_the_oracles_noise_is_that_of_the_frames():
     from nuc_oracle import noise_variance
 
-    from deepir.simulate.scenes.procedural import procedural
-
-    scene = procedural(2, (140, 160))
     camera = dataclasses.replace(SMALL, photons=300.0, max_shift=0.0, counts=True, n_frames=60)
-    sim = simulate(scene, camera, seed=1)
-    expected = noise_variance(sim, scene)[0]
+    sim = simulate(SCENE, camera, seed=1)
+    expected = noise_variance(sim, SCENE)[0]
     np.testing.assert_allclose(sim.frames.var(0).mean(), expected.mean(), rtol=0.02)
     assert np.corrcoef(sim.frames.var(0).ravel(), expected.ravel())[0, 1] > 0.2
 
@@ -109,12 +98,7 @@ def test_the_report_says_what_it_found():
     assert rows[0].line().startswith("| counts | 3 | 20.0 / 20.0 |")
     assert rows[1].line().startswith("| sky | 3 * |")
     text = "\n".join(summary(rows, "AB"))
-    for words in (
-        "| **1.00** | **16.00** |",
-        "16.0 (counts, n = 3)",
-        "nothing to see",
-        "1 of 2 bursts: REFUSED: no",
-    ):
+    for words in ("| **1.00** | **16.00** |", "16.0 (counts, n = 3)", "nothing to see", "1 of 2 bursts: REFUSED: no"):
         assert words in text
 
 

@@ -27,12 +27,8 @@ def exact(burst):
     truth = burst.truth
     scene = truth["scene"] + np.random.default_rng(0).normal(0, 1e-2, truth["scene"].shape)
     result = neutral(scene, 3, burst.size, burst.bad_pixels)
-    result.gain, result.offset, result.extra = (
-        truth["gain"].copy(),
-        truth["offset"].copy(),
-        {"stray": truth["stray"]},
-    )
-    result.motion = truth["motion"].copy()
+    result.gain, result.offset, result.motion = (truth[name].copy() for name in ("gain", "offset", "motion"))
+    result.extra = {"stray": truth["stray"]}
     result.motion[:, :2, 2] *= SMALL.factor  # px of the scene
     return result
 

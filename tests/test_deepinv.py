@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepir.deepinv import PhysicsOperator, as_denoiser, as_physics
-from deepir.denoisers.unit_range import unit_range
+from deepir.denoisers.packages import unit_range
 from deepir.operators import Blur, Operator, Warp
 from deepir.registry import lookup
 

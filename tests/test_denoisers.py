@@ -7,7 +7,7 @@ import torch
 from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import load
-from deepir.denoisers.unit_range import unit_range
+from deepir.denoisers.packages import unit_range
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.priors.penalties.red import RED
 from deepir.registry import components

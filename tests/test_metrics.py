@@ -42,8 +42,7 @@ def test_roughness_is_what_neighbours_differ_by_to_the_level():
 
 
 def test_a_motion_is_as_far_off_as_a_frames_corners():
-    still = np.tile(np.eye(3), (3, 1, 1))
-    moved, turned = still.copy(), still.copy()
+    still, moved, turned = (np.tile(np.eye(3), (3, 1, 1)) for _ in range(3))
     moved[2, :2, 2] = 3, 4
     assert motion_error(moved, still, (40, 48)) == pytest.approx(5 / 2**0.5)
     angle = 0.01

@@ -11,14 +11,7 @@ from deepir.registry import components
 from deepir.sweep.table import Row
 
 pytestmark = pytest.mark.usefixtures("benchmarks")
-CAMERA = {
-    "shape": (40, 48),
-    "n_frames": 4,
-    "max_shift": 4.0,
-    "counts": True,
-    "dead_pixels": 0.01,
-    "stray": 0.5,
-}
+CAMERA = {"shape": (40, 48), "n_frames": 4, "max_shift": 4.0, "counts": True, "dead_pixels": 0.01, "stray": 0.5}
 
 
 @pytest.fixture
@@ -100,12 +93,8 @@ def found(*rows, protocol="a"):
 
     whole = next(each for each in protocols() if each.key == protocol)
     made = [
-        Row(
-            "",
-            {"method": method, "data.frames": n, "burst": burst},
-            {"psnr_aligned": psnr, "seconds": 1.0} if psnr else {},
-        )
-        for method, n, burst, psnr in rows
+        Row("", {"method": method, "data.frames": n, "burst": burst}, {"psnr_aligned": p, "seconds": 1.0} if p else {})
+        for method, n, burst, p in rows
     ]
     return Found(whole, with_gaps(made))
 

@@ -37,15 +37,6 @@ def test_every_component_says_in_a_line_what_it_is(kind):
         assert len(line) <= 120, (name, line)
 
 
-def test_a_component_is_found_by_its_name(own_components):
-    @register("penalty", "mine")
-    class Mine:
-        """Of one's own."""
-
-    assert lookup("penalty", "mine") is Mine
-    assert summary(Mine) == "Of one's own."
-
-
 def test_a_misspelt_name_gives_the_place_and_the_nearest():
     with pytest.raises(ConfigError, match=r"scene\.penalties: no penalty is called 'tvv'; did you mean 'tv'\?"):
         lookup("penalty", "tvv", "scene.penalties")
@@ -59,6 +50,8 @@ def test_a_name_is_taken_once_but_a_module_may_be_imported_again(own_components)
 
     register("method", "again")(one)
     register("method", "again")(one)
+    assert lookup("method", "again") is one
+    assert summary(one) == "One."
 
     def other():
         """Other."""
@@ -67,11 +60,6 @@ def test_a_name_is_taken_once_but_a_module_may_be_imported_again(own_components)
         register("method", "again")(other)
     with pytest.raises(ValueError, match="unknown kind of component 'penlty': did you mean 'penalty'"):
         register("penlty", "x")
-
-
-def test_a_plugin_that_is_not_there_is_named():
-    with pytest.raises(ConfigError, match="plugin 'no_such_module' cannot be imported"):
-        load_plugin("no_such_module")
 
 
 @pytest.fixture
@@ -105,7 +93,9 @@ def test_a_plugin_adds_its_components_by_its_entry_point_or_module(outside, by_n
     assert summary(lookup("method", "outside")) == "Out."
 
 
-def test_a_plugin_that_does_not_load_is_named(outside):
+def test_a_plugin_that_does_not_load_or_is_not_there_is_named(outside):
+    with pytest.raises(ConfigError, match="plugin 'no_such_module' cannot be imported"):
+        load_plugin("no_such_module")
     outside("raise RuntimeError('broken')")
     with pytest.raises(ConfigError, match=r"plugin 'mine' \(outside\) does not load: broken"):
         components("method")

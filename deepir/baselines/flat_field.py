@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from deepir.baselines.average import Array, correct_and_average
+from deepir.baselines.rival import Array, correct_and_average
 from deepir.burst import Burst
 from deepir.calibration import maps_from_flats, mean_frame
 from deepir.config import Config
@@ -18,12 +18,7 @@ from deepir.result import Result
 
 @register("method", "flat_field")
 def flat_field(
-    burst: Burst,
-    config: Config,
-    *,
-    shutter: str | None = None,
-    cold: str | None = None,
-    hot: str | None = None,
+    burst: Burst, config: Config, *, shutter: str | None = None, cold: str | None = None, hot: str | None = None
 ) -> Result:
     """Calibrate with frames of a uniform shutter, or of a cold and a hot black body; then register and average.
 
@@ -31,8 +26,6 @@ def flat_field(
     bodies and the offset from the shutter.
 
     Args:
-        burst: The burst to correct.
-        config: Its configuration.
         shutter: File of frames of a uniform shutter.
         cold: File of frames of a cold black body.
         hot: File of frames of a hot black body.
@@ -58,11 +51,7 @@ def flat_field(
 
 
 def read_flat(path: str, option: str, size: tuple[int, int]) -> Array:
-    """Mean (h, w) of the frames of a file.
-
-    Raises:
-        DataError: The frames differ from `size` (h, w).
-    """
+    """Mean (h, w) of the frames of a file; a DataError if they differ from `size` (h, w)."""
     found = mean_frame(stream_frames(path), path)
     if found.shape != size:
         raise DataError(

@@ -9,14 +9,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from pydantic import Field
 
-from deepir.baselines.average import Array
-from deepir.baselines.rival import estimate_offset, filled_frames, last_of, rival, subtract_and_average
-from deepir.burst import Burst
-from deepir.config import Config
+from deepir.baselines.rival import Array, estimate_mean_offset, estimate_offset, last_of, rival
 from deepir.kernels.block_means import block_means
 from deepir.multiview.pattern import poisson
-from deepir.registry import register
-from deepir.result import Result
 
 STEP_LENGTH = 1.0  # largest change of a pixel by the first frame, in typical gradients
 TV_SMOOTHING = 0.1  # smoothing of the total variation at zero, in typical gradients
@@ -79,40 +74,20 @@ def _adjoint(edges: Array, axis: int) -> Array:
     return -np.diff(edges, axis=axis, prepend=0, append=0)
 
 
-@register("method", "low_order_bias")
+@rival("low_order_bias", estimate_mean_offset)
 def low_order_bias(
-    burst: Burst,
-    config: Config,
+    frame: Array,
     *,
     degree: Annotated[int, Field(ge=1, le=6)] = 2,
     exponent: Annotated[float, Field(gt=0, le=2)] = 1.0,
     block: Annotated[int, Field(ge=1)] = 8,
-) -> Result:
+) -> Array:
     """Subtract the mean of the polynomials that minimise each frame's absolute gradients; then as `average`.
 
     A frame is the scene and a bivariate polynomial, and the scene's gradients have the least L1 norm. Simplified: noise
     stays in the scene, so scene and bias do not alternate. The coefficients are found by iteratively reweighted least
-    squares on means of blocks. The gain stays one. A slope that all scenes share is taken for bias.
-
-    Args:
-        burst: The burst to correct.
-        config: Its configuration.
-        degree: Total degree of the polynomial.
-        exponent: Exponent of the gradients' norm.
-        block: Side of a block, px.
-
-    Source: L. Liu, L. Yan, H. Zhao, X. Dai, T. Zhang: Correction of aeroheating-induced intensity nonuniformity in
-    infrared images, Infrared Physics & Technology (2016); Y. Zheng, M. Grossman, S. Awate, J. Gee: Automatic correction
-    of intensity nonuniformity from sparseness of gradient distribution in medical images, MICCAI (2009).
-    """
-    found = [estimate_bias(frame, degree, exponent, block) for frame in filled_frames(burst)]
-    return subtract_and_average(burst, config, np.mean(found, axis=0))
-
-
-def estimate_bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: int = 8) -> Array:
-    """The polynomial without which the gradients of a frame are sparsest.
-
-    Gradients are differences of block means: between pixels, noise and rounding hide slow gradients.
+    squares on means of blocks: between pixels, noise and rounding hide slow gradients. The gain stays one. A slope that
+    all scenes share is taken for bias.
 
     Args:
         frame: (h, w).
@@ -121,7 +96,11 @@ def estimate_bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: i
         block: Side of a block, px.
 
     Returns:
-        (h, w), mean zero.
+        The polynomial of the frame, (h, w), mean zero.
+
+    Source: L. Liu, L. Yan, H. Zhao, X. Dai, T. Zhang: Correction of aeroheating-induced intensity nonuniformity in
+    infrared images, Infrared Physics & Technology (2016); Y. Zheng, M. Grossman, S. Awate, J. Gee: Automatic correction
+    of intensity nonuniformity from sparseness of gradient distribution in medical images, MICCAI (2009).
     """
     terms = legendre_products(frame.shape, degree)
     side = max(1, min(block, min(frame.shape) // MIN_BLOCKS))
@@ -133,13 +112,7 @@ def estimate_bias(frame: Array, degree: int = 2, exponent: float = 1.0, block: i
 def reweighted_least_squares(target: Array, slopes: Array, exponent: float) -> Array:
     """Minimise `sum |target - coefficients slopes|^exponent` by iteratively reweighted least squares.
 
-    Args:
-        target: (M,).
-        slopes: (K, M).
-        exponent: In (0, 2].
-
-    Returns:
-        The coefficients (K,).
+    Of a target (M,), slopes (K, M) and an exponent in (0, 2]; gives the coefficients (K,).
     """
     coefficients, weight = np.zeros(len(slopes)), np.ones_like(target)
     tiny = 1e-9 * float(np.abs(target).max()) or 1.0

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import sample_noise
 from deepir.assembly.problem import build
-from deepir.baselines.average import register_burst, result_of
+from deepir.baselines.rival import register_burst, result_of
 from deepir.burst import Burst
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.config import Config
@@ -50,8 +50,6 @@ def hardie_droege2007(
     Deviations that are not given are estimated from the burst. The registration is deepir's.
 
     Args:
-        burst: The burst to correct.
-        config: Its configuration.
         scene: Standard deviation sigma_z of D z, in the data's units.
         gain: Standard deviation sigma_g of the gain.
         offset: Standard deviation sigma_b of the bias, in the data's units.
@@ -107,19 +105,11 @@ class Model:
     precisions: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
 
     def estimate_precisions(
-        self,
-        average: Tensor,
-        scene: float | None = None,
-        gain: float | None = None,
-        bias: float | None = None,
+        self, average: Tensor, scene: float | None = None, gain: float | None = None, bias: float | None = None
     ) -> None:
-        """Set the precisions: as given, or estimated from the registered average and the residuals of the frames.
+        """Set the precisions from standard deviations of D z, gain and bias, in the data's units.
 
-        Args:
-            average: The registered average, on the grid of the scene.
-            scene: Standard deviation of D z, in the data's units; None: estimated.
-            gain: Standard deviation of the gain; None: estimated.
-            bias: Standard deviation of the bias, in the data's units; None: estimated.
+        Those that are None are estimated from the registered average, on the grid of the scene, and the residuals.
         """
         n = len(self.data)
         noise = max(sample_noise(self.data[:, 0], self.usable[:, 0] > 0), 1e-4 * float(self.data.std()))
@@ -136,11 +126,7 @@ class Model:
         self.precisions = (1 / noise**2, 1 / of_scene, 1 / of_gain, 1 / of_bias)
 
     def solve(self, z: Tensor) -> tuple[Tensor, int]:
-        """Find the most probable scene by Gauss-Newton steps in which gain and bias are eliminated.
-
-        Returns:
-            The scene and the number of products with the second derivatives.
-        """
+        """The most probable scene, by Gauss-Newton steps without gain and bias, and the number of products it took."""
         noise, smooth, _, _ = self.precisions
         products = 0
         for _ in range(GAUSS_NEWTON_STEPS):

@@ -10,13 +10,21 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from deepir.baselines.average import Array, fill_invalid, sampling_points, to_indices
-from deepir.baselines.rival import estimate_pattern, estimate_registered_pattern, last_of, normalise, rival
+from deepir.baselines.rival import (
+    Array,
+    estimate_pattern,
+    estimate_registered_pattern,
+    fill_invalid,
+    last_of,
+    normalise,
+    rival,
+    sampling_points,
+    to_indices,
+)
 
 #: Limits of the training input, in ranges of the frames; stuck pixels beyond them would diverge.
 INPUT_LIMITS = (-1.0, 2.0)
-#: M of the step size; the step is half the rate at a local deviation of a tenth of the range.
-EDGE_SENSITIVITY = 10.0
+EDGE_SENSITIVITY = 10.0  # M of the step size; the step is half the rate at a local deviation of a tenth of the range
 
 Rate = Annotated[float, Field(gt=0, lt=1)]
 Passes = Annotated[int, Field(ge=1)]
@@ -96,15 +104,7 @@ def irlms(
 
 
 def learn_correction(frames: Array, motion: Array, rate: float, passes: int = 1) -> tuple[Array, Array]:
-    """Weight and bias that correct normalised frames; arguments as in `irlms`.
-
-    Args:
-        frames: (N, h, w), from about zero to about one.
-        motion: (N, 3, 3), pull homographies in px about the centre.
-
-    Returns:
-        Weight and bias, (h, w).
-    """
+    """Weight and bias (h, w) that correct frames (N, h, w) from about zero to about one, with motion as in `irlms`."""
     frames = frames.clip(*INPUT_LIMITS)
     weight, bias = np.ones(frames.shape[1:]), np.zeros(frames.shape[1:])
     for before, now in itertools.pairwise(frame_sequence(len(frames), passes)):

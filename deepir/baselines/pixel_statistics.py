@@ -8,8 +8,17 @@ import numpy as np
 from scipy import ndimage
 from scipy.fft import dctn, idctn
 
-from deepir.baselines.average import Array, fill_invalid, registered_mean, sampling_points, to_indices
-from deepir.baselines.rival import estimate_pattern, estimate_registered_pattern, last_of, rival
+from deepir.baselines.rival import (
+    Array,
+    estimate_pattern,
+    estimate_registered_pattern,
+    fill_invalid,
+    last_of,
+    registered_mean,
+    rival,
+    sampling_points,
+    to_indices,
+)
 
 FRAMES = 64  # frames of a long recording that are used, evenly spread
 REWEIGHTINGS = 3
@@ -133,16 +142,7 @@ def hardie2000(frames: Array, valid: Array, motion: Array | None) -> tuple[Array
 
 
 def trajectory_means(frames: Array, valid: Array, motion: Array) -> Array:
-    """The scene at each sample: the mean of all frames along the trajectory through it.
-
-    Args:
-        frames: (N, h, w).
-        valid: (N, h, w) bool.
-        motion: (N, 3, 3), pull homographies in px about the centre.
-
-    Returns:
-        (N, h, w).
-    """
+    """The scene at each sample (N, h, w): the mean of all frames along the trajectory of the motion through it."""
     points = np.stack([sampling_points(each, frames.shape[1:]) for each in motion])
     outside = np.abs(points).max(axis=(0, 2, 3)) - (np.array(frames.shape[1:]) - 1) / 2
     margin = [(0, 0), *((rim, rim) for rim in np.ceil(outside + 1e-6).astype(int))]
@@ -153,15 +153,7 @@ def trajectory_means(frames: Array, valid: Array, motion: Array) -> Array:
 
 
 def fit_lines(scene: Array, frames: Array) -> tuple[Array, Array]:
-    """Fit `frames = gain * scene + bias` to the samples of each pixel.
-
-    Args:
-        scene: (N, h, w).
-        frames: (N, h, w).
-
-    Returns:
-        Gain and bias, (h, w); gain one where all scene values agree.
-    """
+    """Gain and bias (h, w) of `frames = gain * scene + bias`, (N, h, w); gain one where the scene is constant."""
     x, y = scene.astype(np.float64), frames.astype(np.float64)
     x_mean, y_mean = x.mean(0), y.mean(0)
     variance = ((x - x_mean) ** 2).sum(0)

@@ -1,4 +1,4 @@
-"""How a function that corrects frames, or estimates pattern or scene, becomes a method."""
+"""How a function of arrays becomes a method: what it is given, and how frames are registered and averaged after it."""
 
 from __future__ import annotations
 
@@ -6,26 +6,31 @@ import dataclasses
 import functools
 import inspect
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
+import torch
+from scipy import ndimage
 
-from deepir.baselines.average import (
-    Array,
-    average,
-    average_frames,
-    correct_and_average,
-    fill_invalid,
-    register_burst,
-)
+from deepir.arrays.windows import fill_nearest
+from deepir.assembly.problem import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.registry import register
-from deepir.result import Result
+from deepir.operators.motion_models import homographies
+from deepir.optim.objective import held_out_error, hold_out
+from deepir.pipeline.prior_refinement import registered_average
+from deepir.pipeline.register import motion_messages, register_frames
+from deepir.registry import lookup, register
+from deepir.result import Result, neutral, to_gauge
 
+Array = np.ndarray[Any, Any]
+#: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+Registration = tuple[torch.Tensor | None, Array, list[str]]
 State = TypeVar("State")
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+GAIN_LIMITS = (0.2, 5.0)  # least and largest gain of a usable pixel, in medians of all gains
 
 
 def rival(name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result]) -> Callable[[Function], Function]:
@@ -34,7 +39,8 @@ def rival(name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result])
     Args:
         name: Name of the method.
         how: What the function is given, and how the burst is corrected by what it returns: `correct_frames`,
-            `estimate_pattern`, `estimate_offset`, `estimate_registered_pattern` or `estimate_scene`.
+            `estimate_pattern`, `estimate_offset`, `estimate_mean_offset`, `estimate_registered_pattern` or
+            `estimate_scene`.
 
     Returns:
         The decorator; keyword-only arguments of the function are the options of the method.
@@ -71,6 +77,11 @@ def estimate_offset(burst: Burst, config: Config, estimate: Callable[[Array], Ar
     return subtract_and_average(burst, config, estimate(burst.frames))
 
 
+def estimate_mean_offset(burst: Burst, config: Config, estimate: Callable[[Array], Array]) -> Result:
+    """Subtract the mean of the offsets (h, w) of each frame (h, w) by itself, then as `average`; the gain stays one."""
+    return subtract_and_average(burst, config, np.mean([estimate(frame) for frame in filled_frames(burst)], axis=0))
+
+
 def estimate_registered_pattern(
     burst: Burst, config: Config, estimate: Callable[[Array, Array, Array | None], tuple[Array, Array]]
 ) -> Result:
@@ -100,9 +111,127 @@ def subtract_and_average(burst: Burst, config: Config, offset: Array) -> Result:
     """Subtract an offset (h, w) from the frames, then as `average`."""
     offset = offset - offset[~burst.bad_pixels].mean()
     frames = (burst.frames - offset).astype(np.float32)
-    result: Result = average(dataclasses.replace(burst, frames=frames), config)
+    result = average(dataclasses.replace(burst, frames=frames), config)
     result.offset = offset.astype(np.float32)
     return result
+
+
+@register("method", "average")
+def average(burst: Burst, config: Config) -> Result:
+    """Register the frames of a scene and average them; gain and offset stay as they are."""
+    found = register_burst(burst, config)
+    result = average_frames(burst, config, burst.frames, found)
+    if "scene" not in burst.truth and found[1].sum() > 1:
+        result.metrics["held_out_rmse"] = _held_out_error(burst, config, found)
+    return result
+
+
+def register_burst(burst: Burst, config: Config) -> Registration:
+    """Motion, used frames and messages of a burst; its fixed pattern does not disturb the registration."""
+    recipe = lookup("problem", config.problem, "problem")()
+    motion, used, messages = register_frames(burst, config, recipe)
+    if recipe.motion and motion is not None:
+        messages += motion_messages(motion[torch.from_numpy(used)], burst.size)
+    return motion, used, messages
+
+
+def average_frames(burst: Burst, config: Config, frames: Array, registration: Registration | None = None) -> Result:
+    """Register a burst as recorded, unless its registration is known, and average its corrected frames (N, h, w).
+
+    The average is the scene; the gain is one, the offset zero.
+    """
+    motion, used, messages = registration or register_burst(burst, config)
+    kept = dataclasses.replace(burst, frames=frames[used].astype(np.float32), valid=burst.valid[used])
+    problem, geometry = build(config, kept, None if motion is None else motion[used])
+    if motion is not None:
+        good = kept.valid & ~kept.bad_pixels
+        scene = registered_mean(kept.frames, good, motion[used].numpy(), geometry.ratio)
+    else:
+        with torch.no_grad():
+            mean, weight = problem.backproject(problem.values())
+            scene = geometry.crop(fill_nearest(mean, weight > 0.3 * weight.max()))
+    poses = None if motion is None else homographies(problem.values()["motion"]).detach().numpy()
+    return result_of(burst, scene.numpy(), used, poses, messages=messages)
+
+
+def result_of(
+    burst: Burst, scene: Array, used: Array, motion: Array | None, *, iterations: int = 0, messages: Sequence[str] = ()
+) -> Result:
+    """A result with gain one, offset zero and a scene (H, W) of the K frames `used`, which have a motion (K, 3, 3)."""
+    result = neutral(scene, len(used), burst.size, burst.bad_pixels)
+    if motion is not None:
+        result.motion[used], result.motion[~used] = motion, float("nan")
+    result.frames_used, result.messages = used, list(messages)
+    result.metrics = {"iterations": iterations, "evaluations": iterations, "stop_reason": "converged"}
+    return result
+
+
+@torch.no_grad()
+def _held_out_error(burst: Burst, config: Config, registration: Registration) -> float:
+    """Root mean square error at held-out samples, which the average of the others predicts: what stands for a truth."""
+    motion, used, _ = registration
+    kept = dataclasses.replace(burst, frames=burst.frames[used], valid=burst.valid[used], clipped=None)
+    problem, _ = build(config, kept, None if motion is None else motion[used])
+    hold_out(problem, config.seed)
+    problem.fields["scene"].init_from(registered_average(problem))
+    return held_out_error(problem)
+
+
+def correct_and_average(
+    burst: Burst, config: Config, gain: Array, offset: Array, registration: Registration | None = None
+) -> Result:
+    """Correct the frames for gain, in any gauge, and offset, (h, w) each; then register and average them.
+
+    Pixels with a gain outside `GAIN_LIMITS` are bad. A known `registration` is that of the frames as recorded.
+    """
+    registration = registration or register_burst(burst, config)
+    gain = gain / np.median(gain[~burst.bad_pixels])
+    good = ~burst.bad_pixels & (gain > GAIN_LIMITS[0]) & (gain < GAIN_LIMITS[1])
+    gain = np.where(good, gain, 1.0)
+    burst = dataclasses.replace(burst, bad_pixels=~good)
+    result = average_frames(burst, config, (burst.frames - offset) / gain, registration)
+    result.gain, result.offset = gain, offset
+    to_gauge(result)
+    return result
+
+
+def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
+    """Mean of registered frames on frame 0's grid or one `ratio` times as fine, by cubic spline interpolation.
+
+    Of frames (N, h, w), their valid samples and their motion (N, 3, 3), pull homographies in px about the centre; gives
+    (ratio h, ratio w), float64. Points that no frame shows take the nearest value.
+    """
+    height, width = (round(ratio * side) for side in frames.shape[1:])
+    total, count = np.zeros((2, height, width))
+    for frame, good, back in zip(fill_invalid(frames, valid), valid, np.linalg.inv(motion), strict=True):
+        at = to_indices(sampling_points(back, (height, width), ratio), frame.shape)
+        seen = ndimage.map_coordinates(good.astype(np.float32), at, order=1, cval=0) > 0.99
+        total += seen * ndimage.map_coordinates(frame, at, order=3, mode="mirror")
+        count += seen
+    mean = torch.from_numpy(total / count.clip(min=1))[None, None]
+    return fill_nearest(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
+
+
+def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Points (2, h, w) of frame 0, y and x in px from the centre, at which the pixels of a frame look.
+
+    By a pull homography (3, 3) in px about the centre, on a grid of `size` (h, w) with `ratio` points per px.
+    """
+    y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
+    at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
+    return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
+
+
+def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
+    """Row and column (2, ...), in an array with `ratio` points per px, of y and x (2, ...) in px from the centre."""
+    middle = (np.array(shape) - 1) / 2
+    return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
+
+
+def fill_invalid(frames: Array, valid: Array) -> Array:
+    """Frames (N, h, w) whose samples that are not `valid` (N, h, w) take the value of the nearest valid one."""
+    pairs = zip(torch.from_numpy(frames), torch.from_numpy(valid), strict=True)
+    return np.stack([fill_nearest(frame[None, None], good[None, None])[0, 0].numpy() for frame, good in pairs])
 
 
 def filled_frames(burst: Burst) -> Array:
@@ -111,14 +240,7 @@ def filled_frames(burst: Burst) -> Array:
 
 
 def normalise(frames: Array) -> tuple[Array, float, float]:
-    """Frames in units of their range.
-
-    Args:
-        frames: (N, h, w), in the data's units.
-
-    Returns:
-        Frames from about zero to about one, their lowest value and their range, in the data's units.
-    """
+    """Frames from about zero to about one, and their lowest value and their range in the data's units."""
     low, high = np.percentile(frames, [0.1, 99.9])
     span = float(high - low) or 1.0
     return (frames.astype(np.float64) - low) / span, float(low), span

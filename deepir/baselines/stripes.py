@@ -11,8 +11,7 @@ from scipy import ndimage
 
 from deepir import weights
 from deepir.arrays.statistics import noise_in_flat_windows
-from deepir.baselines.average import Array, average_frames
-from deepir.baselines.rival import correct_frames, filled_frames, normalise, rival
+from deepir.baselines.rival import Array, average_frames, correct_frames, filled_frames, normalise, rival
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.denoisers.dct import dct
@@ -39,14 +38,7 @@ def mire(frame: Array) -> Array:
 def midway_equalise(frame: Array, width: float) -> Array:
     """Replace the quantiles of each column by their Gaussian mean over neighbouring columns: the midway histogram.
 
-    Reflection at the sides keeps the mean.
-
-    Args:
-        frame: (h, w).
-        width: Standard deviation of the Gaussian, px.
-
-    Returns:
-        (h, w).
+    The Gaussian has a standard deviation of `width` px. Reflection at the sides keeps the mean.
     """
     order = frame.argsort(axis=0, kind="stable")
     quantiles = np.take_along_axis(frame, order, axis=0)
@@ -120,8 +112,6 @@ def guided_1d(
     a linear function of the smooth frame.
 
     Args:
-        burst: The burst to correct.
-        config: Its configuration.
         radius: Radius of the filter along rows, px.
         edge: Differences that are smoothed, in ranges of the frames.
         height: Length of the filter along columns, in heights of the frame.
@@ -141,17 +131,9 @@ def estimate_stripes(frame: Array, radius: int, edge: float, height: float) -> A
 
 
 def guided_filter(guide: Array, image: Array, size: int, ridge: float, axis: int) -> Array:
-    """The part of an image that is linear in the guide within a window along an axis.
+    """The part of an image (h, w) that is linear in the guide (h, w) within a window of `size` px along an axis.
 
-    Args:
-        guide: (h, w).
-        image: (h, w).
-        size: Length of the window, px.
-        ridge: Regularisation of the slope, squared units of the guide.
-        axis: 0 along columns, 1 along rows.
-
-    Returns:
-        (h, w).
+    The `ridge` regularises the slope, in squared units of the guide.
 
     Source: K. He, J. Sun, X. Tang: Guided image filtering, ECCV (2010).
     """

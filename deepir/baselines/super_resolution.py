@@ -14,15 +14,16 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.arrays.windows import fill_nearest
 from deepir.assembly.problem import build
-from deepir.baselines.average import (
+from deepir.baselines.rival import (
     Array,
+    estimate_scene,
     fill_invalid,
     registered_mean,
     result_of,
+    rival,
     sampling_points,
     to_indices,
 )
-from deepir.baselines.rival import estimate_scene, rival
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.warp import rescale_motion

@@ -10,8 +10,7 @@ from torch import Tensor
 
 from deepir.registry import register
 
-#: Side of a block, px.
-BLOCK_SIDE = 8
+BLOCK_SIDE = 8  # side of a block, px
 #: Coefficients below this are set to zero, noise standard deviations (Dabov et al. 2007).
 HARD_THRESHOLD = 2.7
 

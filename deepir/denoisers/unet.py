@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import torch
@@ -12,12 +12,9 @@ from torch import Tensor, nn
 from deepir import weights
 from deepir.registry import register
 
-#: Side of the pixel blocks that become channels, px.
-FOLD = 2
-#: Padding beyond the border, px: its influence does not reach further.
-PADDING = 16
-#: Largest change of a pixel, noise standard deviations: noise does not reach further.
-MAX_CHANGE_SIGMAS = 4.0
+FOLD = 2  # side of the pixel blocks that become channels, px
+PADDING = 16  # padding beyond the border, px: its influence does not reach further
+MAX_CHANGE_SIGMAS = 4.0  # largest change of a pixel, noise standard deviations: noise does not reach further
 
 
 class Residual(nn.Module):
@@ -92,10 +89,11 @@ class UNet(nn.Module):
 @register("denoiser", "cnn")
 def cnn(picture: Tensor, noise: float) -> Tensor:
     """A small U-net, trained by `deepir train denoiser`."""
-    network = weights.shipped(UNet, "denoiser").to(picture)
-    flat = picture.reshape(-1, 1, *picture.shape[-2:])
-    with torch.no_grad():
-        found = flat + (network.of_any_size(flat, noise) - flat).clamp(
-            -MAX_CHANGE_SIGMAS * noise, MAX_CHANGE_SIGMAS * noise
-        )
-    return found.reshape(picture.shape)
+    return apply_network(weights.shipped(UNet, "denoiser").to(picture).of_any_size, picture, noise)
+
+
+@torch.no_grad()
+def apply_network(network: Callable[[Tensor, float], Tensor], picture: Tensor, noise: float) -> Tensor:
+    """A picture (..., H, W) after a network for pictures (B, 1, H, W), with changes up to `MAX_CHANGE_SIGMAS`."""
+    flat, most = picture.reshape(-1, 1, *picture.shape[-2:]), MAX_CHANGE_SIGMAS * noise
+    return (flat + (network(flat, noise) - flat).clamp(-most, most)).reshape(picture.shape)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import ConfigError, DataError
+from deepir.io import atomic_files
 from deepir.simulate.detector import (
     add_defects,
     bolometer_pixels,
@@ -24,21 +26,18 @@ from deepir.simulate.detector import (
     smooth_path,
     time_constants,
 )
-from deepir.simulate.files import Simulated
 from deepir.simulate.optics import (
     blur_picture,
     dense_flow,
     draw_scene,
     homographies,
     parallax,
-    picture_scale,
     psf,
     random_motion,
     relief,
     render,
     render_reference,
     stray_flux,
-    visible_reach,
 )
 from deepir.simulate.scenes.objects import distance_from_line
 from deepir.simulate.scenes.procedural import Scene, load_picture, procedural
@@ -71,6 +70,37 @@ class Truth:
     photons_per_unit: float  # photon noise has variance gain · flux / this; 0: there is none
     scale: float  # picture px per detector px; with own_scenes of frame 0's picture
     psf: np.ndarray  # (K, K), the optics alone, five points per detector px, sum one
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Frames (N, H, W), their truth, and what made them."""
+
+    frames: np.ndarray
+    truth: Any
+    settings: Any
+    seed: int
+
+    def save(self, path: str | Path) -> tuple[Path, Path]:
+        """Write `path` (arrays; settings as JSON) and, beside it, STEM_truth.npz (the fields of the truth).
+
+        Returns:
+            Both paths.
+
+        Raises:
+            DataError: The name does not end in .npz, or the files cannot be written.
+        """
+        path = Path(path)
+        if path.suffix != ".npz":
+            raise DataError(f"{path}: simulated data are saved as .npz")
+        beside = path.with_name(f"{path.stem}_truth.npz")
+        arrays = {each.name: getattr(self, each.name) for each in fields(self)}
+        truth, seed, settings = (arrays.pop(name) for name in ("truth", "seed", "settings"))
+        made = np.array(json.dumps({"seed": seed, **asdict(settings)}))
+        with atomic_files(path, beside) as (part, part_beside):
+            np.savez(part, settings=made, **arrays)
+            np.savez(part_beside, **{each.name: getattr(truth, each.name) for each in fields(truth)})
+        return path, beside
 
 
 @dataclass(frozen=True)
@@ -117,9 +147,7 @@ def simulate(
         flux, static, scale = render_own_scenes(scene, settings, rare_rng)
         moving = np.zeros(flux.shape, bool)
     else:
-        reach = visible_reach(motion, settings)
-        picture = draw_scene(partial(procedural, seed) if scene is None else scene, reach, settings)
-        scale = picture_scale(picture.shape, reach, settings)
+        picture, scale = draw_scene(partial(procedural, seed) if scene is None else scene, motion, settings)
         if settings.parallax:
             beside = parallax(motion, relief(settings, rare_rng), settings)
         flux, moving, static = observe(picture, motion, scale, settings, beside, walk_rng, place_rng)
@@ -169,12 +197,7 @@ def simulate(
 def render_own_scenes(
     scenes: Scene | Sequence[Scene] | None, settings: Settings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Render one frame of each scene.
-
-    Args:
-        scenes: One for each frame; None: drawn with seeds of `rng`.
-        settings: The camera.
-        rng: Random stream of the scenes.
+    """Render one frame of each scene; None: they are drawn with seeds of `rng`.
 
     Returns:
         Flux of each frame in ranges, (N, H, W); the same on the truth's grid; picture px per detector px of frame 0.
@@ -189,14 +212,13 @@ def render_own_scenes(
     if len(scenes) < settings.n_frames:
         raise DataError(f"scene: {len(scenes)} picture(s) for {settings.n_frames} frames, each of a scene of its own")
     still = np.eye(3)[None]
-    reach = visible_reach(still, settings)
     frames, fine, scales = [], [], []
     for scene in scenes[: settings.n_frames]:
-        picture = draw_scene(scene, reach, settings)
-        scales.append(picture_scale(picture.shape, reach, settings))
-        behind = blur_picture(picture, scales[-1], settings)
-        frames.append(render(behind, still, settings.shape, scales[-1], settings.psf_sigma)[0])
-        fine.append(render_reference(picture, scales[-1], settings) if settings.factor > 1 else frames[-1])
+        picture, scale = draw_scene(scene, still, settings)
+        behind = blur_picture(picture, scale, settings)
+        frames.append(render(behind, still, settings.shape, scale, settings.psf_sigma)[0])
+        fine.append(render_reference(picture, scale, settings) if settings.factor > 1 else frames[-1])
+        scales.append(scale)
     return np.array(frames), np.array(fine), scales[0]
 
 

@@ -40,12 +40,8 @@ def bolometer_pixels(settings: Settings, rng: np.random.Generator) -> tuple[np.n
     def relative(name: str) -> np.ndarray:
         return np.maximum(1 + CONSTANT_SIGMAS[name] * rng.standard_normal(settings.shape), 0.05)
 
-    alpha, beta, resistance = (
-        relative("absorption"),
-        relative("temperature coefficient"),
-        relative("resistance"),
-    )
-    conductance, capacity = relative("conductance"), relative("capacity")
+    names = ("absorption", "temperature coefficient", "resistance", "conductance", "capacity")
+    alpha, beta, resistance, conductance, capacity = map(relative, names)
     current = 1 + CONSTANT_SIGMAS["current"] * rng.standard_normal((1, settings.shape[1]))
     gain = current * alpha * beta * resistance / conductance
     gain, slowness = gain / gain.mean(), capacity / conductance
@@ -141,13 +137,7 @@ class Defect(IntEnum):
 def fixed_pattern(
     settings: Camera, rng: np.random.Generator, shading_rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gain, offset (data units) and the defects of `dead_pixels`, (H, W) each.
-
-    Args:
-        settings: The camera.
-        rng: Random stream of the pattern.
-        shading_rng: Random stream of the gain's shading.
-    """
+    """Gain, offset (data units) and defects of `dead_pixels`, (H, W) each; the gain's shading has its own stream."""
     sigmas = (settings.gain_pixel, settings.gain_column, settings.gain_row)
     normal, uniform = (sensor_parts(settings.shape, draw) for draw in (rng.standard_normal, rng.random))
     parts = normal if settings.gain_distribution == "normal" else [-part for part in uniform]

@@ -64,17 +64,18 @@ def render(
     return frames
 
 
-def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Settings) -> np.ndarray:
-    """A scene as a picture (height, width).
+def draw_scene(scene: Scene | Sequence[Scene], motion: np.ndarray, settings: Settings) -> tuple[np.ndarray, float]:
+    """A scene as a picture (height, width), and its px per detector px.
 
     Args:
         scene: A picture, or a function that draws one of a given shape.
-        reach: (y, x), extent from the centre that the frames see, detector px.
+        motion: (N, 3, 3), pull homographies of the frames, px.
         settings: The camera.
 
     Raises:
-        DataError: It is not a picture in [0, 1].
+        DataError: It is not a picture in [0, 1], or too small for the frames.
     """
+    reach = visible_reach(motion, settings)
     if callable(scene):
         height, width = np.ceil((settings.scale or 2.0 * settings.factor) * 2 * reach).astype(int) + 5
         scene = scene((int(height), int(width)))
@@ -83,7 +84,7 @@ def draw_scene(scene: Scene | Sequence[Scene], reach: np.ndarray, settings: Sett
     picture = np.asarray(scene, float)
     if picture.ndim != 2 or not (picture.min() >= 0 and picture.max() <= 1):
         raise DataError(f"scene: a picture (height, width) with values in [0, 1] is needed, not {picture.shape}")
-    return picture
+    return picture, picture_scale(picture.shape, reach, settings)
 
 
 def render_reference(picture: np.ndarray, scale: float, settings: Settings) -> np.ndarray:
@@ -128,12 +129,9 @@ def visible_reach(motion: np.ndarray, settings: Settings) -> np.ndarray:
 
 
 def picture_scale(shape: tuple[int, ...], reach: np.ndarray, settings: Settings) -> float:
-    """Picture px per detector px: the setting, or the largest that fits.
+    """Picture px per detector px: the setting, or the largest at which the frames' `reach` fits into a picture.
 
-    Args:
-        shape: Shape of the picture; two px at each side are for the spline.
-        reach: (y, x), extent from the centre that the frames see, detector px.
-        settings: The camera.
+    Two px at each side of the picture are for the spline.
 
     Raises:
         DataError: The picture is too small.
@@ -217,10 +215,7 @@ def _line(length: float, angle: float) -> np.ndarray:
 
 
 def relief(settings: Settings, rng: np.random.Generator) -> np.ndarray:
-    """Random hills, scaled so that nearness is within [0, 1].
-
-    Returns:
-        (K, 4): x and y in detector px from the centre, width (px), height.
+    """Random hills (K, 4): x, y and width in detector px, and height, scaled so that nearness is within [0, 1].
 
     Raises:
         ConfigError: The hills would hide each other, or the camera does not shift.
@@ -339,5 +334,4 @@ def edge(y: np.ndarray, x: np.ndarray, wide: float, rng: np.random.Generator) ->
     return special.ndtr((x * np.cos(angle) + y * np.sin(angle) - place) / blur)
 
 
-#: Shapes by their name in the settings.
-STRAY_SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}
+STRAY_SHAPES = {"smooth": smooth, "radial": radial, "ring": ring, "edge": edge}  # shapes by their name in the settings

@@ -10,8 +10,7 @@ from deepir.simulate.settings import RecordingSettings
 
 WANDER_WAVES = 12  # sinusoids in a random course
 CAMERA_SPEEDS = {"drive": 12.0, "walk": 1.4, "drone": 8.0}  # m/s, by kind of recording
-#: M above the ground.
-CAMERA_HEIGHTS = {"drive": 1.4, "walk": 1.65, "pan": 3.5, "tripod": 3.5, "drone": 40.0}
+CAMERA_HEIGHTS = {"drive": 1.4, "walk": 1.65, "pan": 3.5, "tripod": 3.5, "drone": 40.0}  # m above the ground
 LANE_CENTRE = 1.75  # x of the middle of the car's lane, m
 PAVEMENT_CENTRE = 6.2  # x of pedestrians, m
 WALK_YAW = -12.0  # yaw of a camera that is carried along the pavement, towards the street, degrees
@@ -33,15 +32,7 @@ class CameraPath:
 
 
 def camera_path(settings: RecordingSettings, rng: np.random.Generator) -> CameraPath:
-    """The path of a kind of recording, at `substeps` instants for each frame after the first.
-
-    Args:
-        settings: Kind, frames, rates.
-        rng: Random stream of speed, vibration and turns.
-
-    Returns:
-        The poses of all instants; every `substeps`-th is that of a frame.
-    """
+    """The path of a kind of recording, at `substeps` instants for each frame after the first."""
     count = (settings.n_frames - 1) * settings.substeps + 1
     times = np.arange(count) / (settings.frame_rate * settings.substeps)
     position = np.zeros((count, 3))
@@ -72,18 +63,7 @@ def camera_path(settings: RecordingSettings, rng: np.random.Generator) -> Camera
 
 
 def wander(rng: np.random.Generator, times: np.ndarray, rms: float, low: float, high: float) -> np.ndarray:
-    """A smooth random course.
-
-    Args:
-        rng: Random stream.
-        times: (I,), s.
-        rms: Root mean square over the ensemble.
-        low: Lowest frequency, Hz.
-        high: Highest frequency, Hz.
-
-    Returns:
-        (I,).
-    """
+    """A smooth random course at times (I,), s, with frequencies from `low` to `high`, Hz; `rms` is of the ensemble."""
     rate = 2 * np.pi * np.exp(rng.uniform(np.log(low), np.log(high), WANDER_WAVES))
     parts = rng.standard_normal((2, WANDER_WAVES)) * rms / np.sqrt(WANDER_WAVES)
     angle = rate * times[:, None]

@@ -68,12 +68,9 @@ class World:
 
 
 def texture(picture: np.ndarray, texel: float, cover: np.ndarray | None = None) -> Texture:
-    """A texture of a picture.
+    """A texture of a picture (height, width) with texels of a side in m.
 
-    Args:
-        picture: (height, width).
-        texel: Side of a texel, m.
-        cover: (height, width), opacity in [0, 1], already multiplied into the picture; None: opaque.
+    `cover` is its opacity in [0, 1], already multiplied into the picture; None: opaque.
     """
     values, covers, levels, start = [], [], [], 0
     layers = [np.asarray(picture, np.float32)]
@@ -106,11 +103,7 @@ def cut_out(seed: int, shape: tuple[int, int], draw: Callable[[Canvas], None], t
 
 
 def homography(surface: Surface, position: np.ndarray, rotation: np.ndarray, time: float) -> np.ndarray | None:
-    """Homography from rays (x, y, 1) of the camera to points (s, t, 1) of a surface, m, over their depth.
-
-    Returns:
-        (3, 3); None if the surface is seen edge-on.
-    """
+    """Homography (3, 3) from rays (x, y, 1) of the camera to points (s, t, 1) of a surface, m; None if seen edge-on."""
     reach = surface.corner + surface.velocity * time - position
     frame = np.stack([surface.along, surface.down, reach], axis=1)
     if abs(np.linalg.det(frame)) < 1e-9:

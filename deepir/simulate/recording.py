@@ -12,21 +12,14 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
+from deepir.simulate.burst import Simulated
 from deepir.simulate.detector import expose, fixed_pattern, lagged, sensor_parts
-from deepir.simulate.files import Simulated
 from deepir.simulate.paths import CameraPath, camera_path
 from deepir.simulate.planes import World, render_view
 from deepir.simulate.settings import RecordingSettings
 from deepir.simulate.worlds import world
 
-__all__ = [
-    "Recording",
-    "RecordingSettings",
-    "RecordingTruth",
-    "residual_map",
-    "residual_pattern",
-    "simulate_recording",
-]
+__all__ = ["Recording", "RecordingSettings", "RecordingTruth", "residual_map", "residual_pattern", "simulate_recording"]
 
 CLOSURE_DURATION = 0.1  # s that the shutter stays closed
 AGC_TIME_CONSTANT = 0.5  # s; time constant of the automatic gain control
@@ -145,26 +138,12 @@ def shutter_closures(settings: RecordingSettings) -> np.ndarray:
 
 
 def drifting_offsets(
-    settings: RecordingSettings,
-    gain: np.ndarray,
-    offset: np.ndarray,
-    closed: np.ndarray,
-    rng: np.random.Generator,
+    settings: RecordingSettings, gain: np.ndarray, offset: np.ndarray, closed: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """The offset of each frame, counts.
+    """The offset of each frame (N, H, W), counts, from the first `offset` (H, W) of a recording without a shutter.
 
     Pixels, columns and rows drift by independent steps in the proportions of their sigmas. With a shutter, the camera
-    subtracts its picture: `(1 - gain) flat` and a residual remain after each closure.
-
-    Args:
-        settings: Drift and shutter.
-        gain: (H, W), mean one.
-        offset: (H, W), at the start of a recording without a shutter.
-        closed: (N,) bool, frames of the closed shutter.
-        rng: Random stream of drift and residuals.
-
-    Returns:
-        (N, H, W), float32.
+    subtracts its picture: `(1 - gain) flat` and a residual remain after each closure, of frames `closed` (N,).
     """
     parts = np.array([settings.offset_pixel, settings.offset_column, settings.offset_row])
     parts = parts / np.linalg.norm(parts) if parts.any() else np.array([1.0, 0.0, 0.0])
@@ -197,16 +176,9 @@ def drifting_offsets(
 def automatic_gain(
     raw: np.ndarray, closed: np.ndarray, good: np.ndarray, settings: RecordingSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """8-bit frames of an automatic gain control, which follows the contrast slowly and ignores the shutter.
+    """8-bit frames of an automatic gain control, and the gain (N,) and offset (N,) that map counts to grey levels.
 
-    Args:
-        raw: (N, H, W), counts.
-        closed: (N,) bool, frames of the closed shutter.
-        good: (H, W) bool, pixels that the control uses.
-        settings: Frame rate.
-
-    Returns:
-        Frames (N, H, W), uint8, and the gain (N,) and offset (N,) that map counts to grey levels.
+    It follows the contrast of the good pixels (H, W) slowly, and holds while the shutter is `closed` (N,).
     """
     kept = np.exp(-1 / (settings.frame_rate * AGC_TIME_CONSTANT))
     ends, state = np.empty((len(raw), 2)), None
@@ -224,11 +196,7 @@ def automatic_gain(
 
 
 def compress(frames: np.ndarray, settings: RecordingSettings) -> np.ndarray:
-    """Frames after a lossy codec, with their grey as its luminance, in the full range.
-
-    Args:
-        frames: (N, H, W), uint8.
-        settings: Codec and bit rate.
+    """Frames (N, H, W), uint8, after a lossy codec, with their grey as its luminance, in the full range.
 
     Raises:
         DataError: PyAV is not installed.

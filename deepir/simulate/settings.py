@@ -26,13 +26,7 @@ CHOICES = {
 }
 
 #: Largest values, px: the size of the drawn scene or of the blur kernel grows with them.
-MAX_LENGTHS = {
-    "max_shift": 2000,
-    "psf_sigma": 50,
-    "airy_radius": 50,
-    "defocus_radius": 50,
-    "motion_blur": 200,
-}
+MAX_LENGTHS = {"max_shift": 2000, "psf_sigma": 50, "airy_radius": 50, "defocus_radius": 50, "motion_blur": 200}
 MAX_SAMPLES = 2**30  # samples of all frames: intermediate arrays then fit into a large memory
 FRAME_SIDE_LIMITS = (16, 2048)  # least and largest height and width of a recording's frame, px
 
@@ -87,6 +81,11 @@ class Sensor:
             raise ConfigError(
                 f"{self.section}: {samples:.3g} samples (n_frames times shape); at most {MAX_SAMPLES:.3g} are simulated"
             )
+
+    @property
+    def range(self) -> float:
+        """Flux between scene values 0 and 1, in the data's units."""
+        return self.contrast
 
 
 @dataclass(frozen=True)
@@ -226,11 +225,6 @@ class RecordingSettings(Sensor):
             )
         if self.dead_pixels > 0.5:
             raise ConfigError(f"recording.dead_pixels = {self.dead_pixels:g}: a fraction up to 0.5 is needed")
-
-    @property
-    def range(self) -> float:
-        """Flux between scene values 0 and 1, counts."""
-        return self.contrast
 
     @property
     def duration(self) -> float:

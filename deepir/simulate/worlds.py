@@ -4,13 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from deepir.simulate.paths import (
-    CAMERA_HEIGHTS,
-    CAMERA_SPEEDS,
-    LANE_CENTRE,
-    MAX_PAN_YAW,
-    PAVEMENT_CENTRE,
-)
+from deepir.simulate.paths import CAMERA_HEIGHTS, CAMERA_SPEEDS, LANE_CENTRE, MAX_PAN_YAW, PAVEMENT_CENTRE
 from deepir.simulate.planes import AHEAD, DOWN, RIGHT, Surface, Texture, World, cut_out, texture
 from deepir.simulate.scenes.objects import Canvas, fractal_noise, house, person, tree
 from deepir.simulate.scenes.procedural import procedural
@@ -36,15 +30,9 @@ FEET_POSITIONS = (0.24, 0.34)
 
 
 def world(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> World:
-    """The world of a kind of recording.
+    """The world of a kind of recording, in scene values from 0 to about 1.
 
-    Args:
-        settings: Kind, frames and their size.
-        seed: Of the drawn textures.
-        rng: Random stream of the objects' places.
-
-    Returns:
-        Surfaces and backdrop, in scene values from 0 to about 1.
+    The seed is of the drawn textures, the random stream of the objects' places.
     """
     if settings.kind == "drone":
         return _country(settings, seed, rng)
@@ -213,10 +201,8 @@ def people(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> 
     """People on the pavements who cross the street or walk along it."""
     found = []
     for k in range(settings.objects // 2):
-        side, meets = (
-            (-1) ** k,
-            settings.duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1),
-        )
+        side = (-1) ** k
+        meets = settings.duration * (k + rng.uniform(0.2, 0.8)) / max(settings.objects // 2, 1)
         away = rng.uniform(9, 16) + CAMERA_SPEEDS[settings.kind] * meets
         if k % 2:  # across
             velocity = -side * WALKING_SPEED * RIGHT
@@ -229,27 +215,16 @@ def people(settings: RecordingSettings, seed: int, rng: np.random.Generator) -> 
 
 
 def people_across(
-    settings: RecordingSettings,
-    seed: int,
-    rng: np.random.Generator,
-    reach: float,
-    tall: float,
+    settings: RecordingSettings, seed: int, rng: np.random.Generator, reach: float, tall: float
 ) -> list[Surface]:
-    """People who pass before a camera at rest.
+    """People who pass before a camera at rest, within an azimuth of `reach` rad to either side.
 
-    Args:
-        settings: Number of people, kind.
-        seed: Of their looks.
-        rng: Random stream of their motion.
-        reach: Largest azimuth to either side, rad.
-        tall: Height of the backdrop, on whose ground they walk, over its distance.
+    They walk on the ground of the backdrop, whose height over its distance is `tall`.
     """
     found = []
     for k in range(settings.objects):
-        away, way = (
-            CAMERA_HEIGHTS[settings.kind] / (tall * rng.uniform(*FEET_POSITIONS)),
-            rng.choice([-1.0, 1.0]),
-        )
+        away = CAMERA_HEIGHTS[settings.kind] / (tall * rng.uniform(*FEET_POSITIONS))
+        way = rng.choice([-1.0, 1.0])
         meets = settings.duration * (k + rng.uniform(0, 1)) / settings.objects
         velocity = way * WALKING_SPEED * rng.uniform(0.7, 1.3) * RIGHT
         start = np.array([away * np.tan(reach * rng.uniform(-0.9, 0.9)), 0, away]) - velocity * meets
@@ -276,15 +251,7 @@ def box(
     wall: Texture,
     velocity: np.ndarray | None = None,
 ) -> list[Surface]:
-    """A roof on four walls.
-
-    Args:
-        place: x and z of its middle, m.
-        size: Along x, z and up, m.
-        roof: Texture of the roof.
-        wall: Texture of the walls.
-        velocity: (3,), m/s; None: at rest.
-    """
+    """A roof on four walls about a place (x, z), m, of a size along x, z and up, m, at a velocity (3,), m/s."""
     (x, z), (wide, deep, tall) = place, size
     low, high = np.array([x - wide / 2, -tall, z - deep / 2]), np.array([x + wide / 2, -tall, z + deep / 2])
     speed = np.zeros(3) if velocity is None else velocity

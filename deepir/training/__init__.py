@@ -1,1 +1,1 @@
-"""Trainings of `deepir train NAME`: one a file; the registry finds a new file by itself."""
+"""Trainings of `deepir train NAME`; the registry finds a new file by itself."""

@@ -37,10 +37,8 @@ PENALTY_SMOOTHING = 0.09  # smoothing of the experts at zero, in standard deviat
 LBFGS_ITERATIONS = 40  # iterations to the minimum
 CG_ITERATIONS = 25  # products of conjugate gradients; more follow directions that are not quite convex
 START_ITERATIONS = 15  # iterations of L-BFGS to the start
-#: The cubic B-spline on [-2, 2].
-CUBIC_BSPLINE = BSpline.basis_element(range(-2, 3), extrapolate=False)
-#: Weight of total variation at the start, while the scene's smoothness is measured.
-START_TV_WEIGHT = 0.05 / 1.6
+CUBIC_BSPLINE = BSpline.basis_element(range(-2, 3), extrapolate=False)  # the cubic B-spline on [-2, 2]
+START_TV_WEIGHT = 0.05 / 1.6  # weight of total variation at the start, while the scene's smoothness is measured
 
 
 class Bursts(NamedTuple):

@@ -59,8 +59,7 @@ def test_many_frames_are_better_than_one_and_sharpened_ones_than_as_they_are():
     sim = simulate(load_picture("camera"), camera, seed=3)
     psnr = {
         method: scores(
-            deepir.run("sr", "physics.downsample.factor=2", frames=sim.frames, method=method).scene,
-            sim.truth.scene,
+            deepir.run("sr", "physics.downsample.factor=2", frames=sim.frames, method=method).scene, sim.truth.scene
         )["psnr_aligned"]
         for method in ("bicubic", "average", "shift_and_add", "vdsr")
     }

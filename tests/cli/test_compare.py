@@ -33,7 +33,7 @@ def picky(burst, config, **how):
 '''
 SLOW_START = '''
 import time
-from deepir.baselines.average import average
+from deepir.baselines.rival import average
 from deepir.registry import register
 
 started = []

@@ -134,25 +134,13 @@ def test_each_frame_shows_its_own_picture_through_the_same_sensor():
     np.testing.assert_allclose(truth.scene[1], alone.truth.scene, atol=1e-12)
 
 
-def test_the_sensor_and_its_noise_are_those_of_any_burst_of_the_seed():
-    drawn, burst = (simulate(None, Settings(**VIEWS | {"own_scenes": own}), seed=4) for own in (True, False))
+def test_the_sensor_and_its_noise_are_those_of_any_burst_of_the_seed_and_the_truth_can_be_finer():
+    drawn, burst = (simulate(None, Settings(**VIEWS | own), seed=4) for own in ({"factor": 2}, {"own_scenes": False}))
     assert np.array_equal(drawn.truth.gain, burst.truth.gain)
     assert np.array_equal(drawn.truth.offset, burst.truth.offset)
+    assert drawn.truth.scene.shape == (3, 64, 80)
     assert not np.array_equal(drawn.truth.scene[0], drawn.truth.scene[1])
     assert np.array_equal(drawn.truth.motion, np.tile(np.eye(3), (3, 1, 1)))
-
-
-def test_the_truth_can_be_finer_than_the_detector():
-    settings = Settings(n_frames=2, shape=(16, 20), own_scenes=True, factor=2, psf_sigma=0.0)
-    scene = simulate(None, settings, seed=1).truth.scene
-    assert scene.shape == (2, 32, 40)
-
-
-def test_pictures_and_frames_have_to_fit():
-    with pytest.raises(DataError, match=r"2 picture\(s\) for 3 frames"):
-        simulate(load_picture("camera,moon"), Settings(**VIEWS))
-    with pytest.raises(DataError, match=r"2 pictures; for a frame of each, set simulate.own_scenes"):
-        simulate(load_picture("camera,moon"), Settings(n_frames=2))
 
 
 # ---- files, errors ----
@@ -181,15 +169,20 @@ def test_all_frames_fit_at_the_largest_scale():
         simulate(picture, clean(shape=(96, 96), scale=1.01 * scale))
 
 
-def test_a_picture_that_is_too_small_says_how_large_it_must_be():
-    with pytest.raises(DataError, match=r"100 x 100 px is too small.*need \d+ x \d+ px.*max_shift"):
-        simulate(np.full((100, 100), 0.5), clean(shape=(96, 96)))
-
-
-@pytest.mark.parametrize("scene", [np.full((500, 500), 7.0), np.full((500, 500), np.nan), np.zeros((3, 500, 500))])
-def test_a_scene_is_a_picture_between_zero_and_one(scene):
-    with pytest.raises(DataError, match=r"\[0, 1\]"):
-        simulate(scene, clean())
+@pytest.mark.parametrize(
+    ("scene", "settings", "message"),
+    [
+        (np.full((500, 500), 7.0), clean(), r"\[0, 1\]"),
+        (np.full((500, 500), np.nan), clean(), r"\[0, 1\]"),
+        (np.zeros((3, 500, 500)), clean(), r"\[0, 1\]"),
+        (np.full((100, 100), 0.5), clean(shape=(96, 96)), r"100 x 100 px is too small.*need \d+ x \d+ px.*max_shift"),
+        ([np.eye(500)] * 2, Settings(**VIEWS), r"2 picture\(s\) for 3 frames"),
+        ([np.eye(500)] * 2, Settings(n_frames=2), "2 pictures; for a frame of each, set simulate.own_scenes"),
+    ],
+)
+def test_a_scene_that_does_not_fit_is_refused(scene, settings, message):
+    with pytest.raises(DataError, match=message):
+        simulate(scene, settings)
 
 
 @pytest.mark.parametrize(

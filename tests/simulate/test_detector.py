@@ -34,10 +34,16 @@ def test_the_truth_is_in_the_gauge_of_the_pixels_that_are_good(distribution, cou
 
 @pytest.mark.parametrize("counts", [False, True])
 def test_without_noise_the_reference_is_gain_times_scene_plus_offset_plus_level(counts):
+    """In counts the gain acts on the pedestal too, and frames are 14-bit integers."""
     result = having(counts=counts, read_noise=0.0)
     truth, good = result.truth, ~result.truth.bad_pixels
     expected = truth.gain * truth.scene + truth.offset + truth.level[0]
     np.testing.assert_allclose(result.frames[0][good], expected[good], atol=0.5 if counts else 1e-6)
+    if counts:
+        assert result.frames.dtype == np.uint16
+        assert result.frames.max() == ADC_MAX  # stuck high
+        assert result.frames.min() == 0  # stuck low
+        assert 7900 < truth.scene.min() < truth.scene.max() < 9600
 
 
 def test_uniform_columns_are_those_of_the_paper():
@@ -56,21 +62,6 @@ def test_both_shadings_are_quadratic_as_large_as_asked_and_know_nothing_of_each_
     _, rest, *_ = np.linalg.lstsq(quadratic, np.stack([truth.gain.ravel(), truth.offset.ravel()], 1))
     assert rest.max() < 1e-12
     assert abs(np.corrcoef(truth.gain.ravel(), truth.offset.ravel())[0, 1]) < 0.95
-
-
-def test_counts_are_fourteen_bit_integers_on_a_pedestal():
-    result = having(counts=True)
-    assert result.frames.dtype == np.uint16
-    assert result.frames.max() == ADC_MAX  # stuck high
-    assert result.frames.min() == 0  # stuck low
-    assert 7900 < result.truth.scene.min() < result.truth.scene.max() < 9600
-
-
-def test_the_gain_acts_on_the_pedestal():
-    """In counts, one per cent of gain is 80 counts and more: far above one per cent of the scene."""
-    result = simulate(settings=clean(gain_pixel=0.01, counts=True))
-    pattern = result.frames[0] - result.truth.scene
-    assert pattern.std() == pytest.approx(0.01 * result.truth.scene.mean(), rel=0.05)
 
 
 # ---- bad pixels, noise ----
@@ -131,26 +122,13 @@ def test_the_level_walks_at_random():
 BOLOMETERS = Settings(n_frames=4, shape=(60, 80), bolometer=True, counts=True, dead_pixels=0.0, tau=10.0, substeps=2)
 
 
-def drawn():
-    return bolometer_pixels(BOLOMETERS, np.random.default_rng(0))
-
-
-def test_a_scene_of_the_pixels_own_flux_shows_no_pattern():
-    """`y = g (Phi - Phi_fpa)`: where nothing is exchanged, no pixel warms, whatever its gain."""
-    gain, offset, _ = drawn()
+def test_bolometers_share_a_current_in_columns_and_those_that_lose_heat_slowly_are_slow_and_sensitive():
+    gain, offset, slowness = bolometer_pixels(BOLOMETERS, np.random.default_rng(0))
+    # `y = g (Phi - Phi_fpa)`: where nothing is exchanged, no pixel warms, whatever its gain.
     own = BOLOMETERS.pedestal + 0.5 * BOLOMETERS.contrast
     np.testing.assert_allclose(gain * own + offset, own, rtol=1e-12)
-
-
-def test_columns_share_a_bias_current():
-    gain, _, _ = drawn()
-    single = (gain - gain.mean(0)).std()
     assert gain.mean(0).std() == pytest.approx(0.01, rel=0.3)
-    assert single == pytest.approx((2 * 0.01**2 + 0.005**2 + 0.02**2) ** 0.5, rel=0.05)
-
-
-def test_pixels_that_lose_their_heat_slowly_are_slow_and_sensitive():
-    gain, _, slowness = drawn()
+    assert (gain - gain.mean(0)).std() == pytest.approx((2 * 0.01**2 + 0.005**2 + 0.02**2) ** 0.5, rel=0.05)
     assert slowness.mean() == pytest.approx(1)
     assert np.corrcoef(gain.ravel(), slowness.ravel())[0, 1] > 0.5
 
@@ -163,20 +141,17 @@ def test_gain_offset_and_time_constants_are_in_the_truth():
     assert truth.tau.std() == pytest.approx(0.22, rel=0.15)
 
 
-def test_a_warming_housing_adds_flux_most_at_the_corners():
-    warmth = housing_flux(dataclasses.replace(BOLOMETERS, housing_drift=0.6))
+def test_a_warming_housing_adds_flux_to_the_frames_most_at_the_corners():
+    still = dataclasses.replace(BOLOMETERS, max_shift=0.0, max_rotation=0.0, counts=False, tau=0.0, read_noise=0.0)
+    cold, hot = (simulate(settings=dataclasses.replace(still, housing_drift=d), seed=2) for d in (0.0, 3.0))
+    warmth = hot.truth.housing
+    in_counts = housing_flux(dataclasses.replace(BOLOMETERS, housing_drift=3.0))
+    np.testing.assert_allclose(in_counts, BOLOMETERS.contrast * warmth)
+    np.testing.assert_allclose(hot.frames - cold.frames, hot.truth.gain * warmth, atol=1e-5)
     assert not warmth[0].any()
     np.testing.assert_allclose(np.diff(warmth, axis=0), warmth[1] * np.ones((3, 1, 1)))
-    assert warmth[1, 30, 40] == pytest.approx(1500 * 0.6 / 60, rel=1e-3)  # a frame's time, on the axis
+    assert warmth[1, 30, 40] == pytest.approx(3.0 / 60, rel=1e-3)  # a frame's time, on the axis
     assert 1.03 < warmth[1, 0, 0] / warmth[1, 30, 40] < 1.1
-
-
-def test_what_the_housing_adds_is_what_the_frames_have_more_of():
-    still = dataclasses.replace(BOLOMETERS, max_shift=0.0, max_rotation=0.0, counts=False, tau=0.0, read_noise=0.0)
-    warm = dataclasses.replace(still, housing_drift=3.0)
-    cold, hot = (simulate(settings=settings, seed=2) for settings in (still, warm))
-    added = hot.truth.gain * hot.truth.housing
-    np.testing.assert_allclose(hot.frames - cold.frames, added, atol=1e-5)
 
 
 # ---- lag ----
@@ -218,19 +193,15 @@ def test_pixels_that_follow_at_once_show_the_scene_where_the_camera_is():
     sim = simulate(RAMPS, lagging(tau=1e-3), seed=1)
     expected = render(RAMPS, sim.truth.motion, LAGGING.shape, LAGGING.scale)
     np.testing.assert_allclose(sim.frames, expected, atol=1e-4)
-
-
-def test_the_first_frame_has_settled():
-    sim = simulate(RAMPS, LAGGING, seed=1)
-    np.testing.assert_allclose(sim.frames[0], sim.truth.scene, atol=1e-6)
-
-
-def test_the_truth_holds_each_pixels_time_constant():
-    tau = simulate(RAMPS, lagging(tau_pixel=0.1), seed=1).truth.tau
-    assert tau.shape == LAGGING.shape
-    assert tau.mean() == pytest.approx(10, rel=0.02)
-    assert tau.std() == pytest.approx(1, rel=0.1)
     assert not simulate(RAMPS, lagging(tau=0.0), seed=1).truth.tau.any()
+
+
+def test_the_first_frame_has_settled_and_the_truth_holds_each_pixels_time_constant():
+    sim = simulate(RAMPS, lagging(tau_pixel=0.1), seed=1)
+    np.testing.assert_allclose(sim.frames[0], sim.truth.scene, atol=1e-6)
+    assert sim.truth.tau.shape == LAGGING.shape
+    assert sim.truth.tau.mean() == pytest.approx(10, rel=0.02)
+    assert sim.truth.tau.std() == pytest.approx(1, rel=0.1)
 
 
 def test_rows_are_read_one_after_the_other_and_the_last_as_the_frame_ends():

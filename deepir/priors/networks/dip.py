@@ -104,15 +104,7 @@ class DeepDecoder(Network):
     example_shape = (1, 1, 11, 9)
     example_options: ClassVar = {"width": 4, "blocks": 3}
 
-    def __init__(
-        self,
-        shape: Shape,
-        neutral: float = 0.0,
-        *,
-        width: int = 64,
-        blocks: int = 6,
-        **options: Any,
-    ) -> None:
+    def __init__(self, shape: Shape, neutral: float = 0.0, *, width: int = 64, blocks: int = 6, **options: Any) -> None:
         super().__init__(shape, neutral, **options)
         check_counts(width=(width, 1024), blocks=(blocks, 10))
         if blocks < 2:

@@ -12,8 +12,7 @@ from deepir.fields.base import Shape, check_counts
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
-#: Initial standard deviation of the features.
-INITIAL_FEATURE_SIGMA = 1e-2
+INITIAL_FEATURE_SIGMA = 1e-2  # initial standard deviation of the features
 
 
 @register("field", "grid")
@@ -34,14 +33,7 @@ class Grid(Network):
     example_options: ClassVar = {"levels": 2, "features": 2, "width": 4}
 
     def __init__(
-        self,
-        shape: Shape,
-        neutral: float = 0.0,
-        *,
-        levels: int = 5,
-        features: int = 4,
-        width: int = 16,
-        **options: Any,
+        self, shape: Shape, neutral: float = 0.0, *, levels: int = 5, features: int = 4, width: int = 16, **options: Any
     ) -> None:
         super().__init__(shape, neutral, **options)
         check_counts(levels=(levels, 16), features=(features, 64), width=(width, 1024))

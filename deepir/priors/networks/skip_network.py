@@ -15,12 +15,9 @@ from deepir.kernels.threads import is_compiled
 INTERPOLATION_WEIGHTS = (0.25, 0.75, 0.75, 0.25)
 #: Weights along an axis of linear upsampling by two followed by its adjoint, divided by two.
 UPSAMPLING_GRAM_WEIGHTS = (3 / 16, 5 / 8, 3 / 16)
-#: Negative slope of the leaky rectifier.
-NEGATIVE_SLOPE = 0.2
-#: Channels from which the fused block is faster on a CPU.
-MIN_FUSED_CHANNELS = 128
-#: Pixels of the coarse image from which the fused block is faster on a CPU.
-MIN_FUSED_PIXELS = 1024
+NEGATIVE_SLOPE = 0.2  # negative slope of the leaky rectifier
+MIN_FUSED_CHANNELS = 128  # channels from which the fused block is faster on a CPU
+MIN_FUSED_PIXELS = 1024  # pixels of the coarse image from which the fused block is faster on a CPU
 
 
 def upsample_join_convolve(skip: Tensor, deep: Tensor, norm: nn.BatchNorm2d, convolution: nn.Conv2d) -> Tensor:

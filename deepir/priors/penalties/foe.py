@@ -14,8 +14,7 @@ from deepir.kernels.threads import is_compiled
 from deepir.priors.penalties.tv import CompiledEnergy, SmoothedNorm
 from deepir.registry import register
 
-#: Side of a filter, px.
-FILTER_SIDE = 5
+FILTER_SIDE = 5  # side of a filter, px
 #: Initial filters of training: first, diagonal, second and mixed differences.
 INITIAL_FILTERS = (
     ((0, 0, 0), (0, -1, 1), (0, 0, 0)),
@@ -27,10 +26,8 @@ INITIAL_FILTERS = (
     ((0, 0, 0), (0, 1, -1), (0, -1, 1)),
     ((1, -2, 1), (-2, 4, -2), (1, -2, 1)),
 )
-#: Stride at which responses are sampled for statistics, px.
-SAMPLING_STRIDE = 3
-#: Response below which a filter counts as flat, noise standard deviations.
-FLAT_RESPONSE = 0.3
+SAMPLING_STRIDE = 3  # stride at which responses are sampled for statistics, px
+FLAT_RESPONSE = 0.3  # response below which a filter counts as flat, noise standard deviations
 
 
 class Experts(nn.Module):

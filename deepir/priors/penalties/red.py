@@ -12,8 +12,7 @@ from deepir.fields.base import Shape, check_positive
 from deepir.priors.penalties.base import Penalty
 from deepir.registry import lookup, register
 
-#: Denoiser strength relative to that of the stage before.
-STRENGTH_DECAY = 0.8
+STRENGTH_DECAY = 0.8  # denoiser strength relative to that of the stage before
 
 
 @register("penalty", "red")

@@ -12,14 +12,7 @@ Point = tuple[float, float]
 
 
 def fractal_noise(rng: np.random.Generator, shape: tuple[int, int], slope: float, stretch: float = 1.0) -> np.ndarray:
-    """Noise of unit variance with amplitude ~ 1 / frequency**slope.
-
-    Args:
-        rng: Random stream.
-        shape: Height and width.
-        slope: Exponent of the amplitude.
-        stretch: Length of the features along x over that along y.
-    """
+    """Noise of unit variance with amplitude ~ 1 / frequency**slope; features are `stretch` times as long along x."""
     height, width = (fft.next_fast_len(int(1.1 * n), real=True) for n in shape)  # larger: it must not wrap
     fy = fft.fftfreq(height)[:, None] * shape[0]  # cycles per picture height
     fx = fft.rfftfreq(width)[None, :] * shape[0] * stretch
@@ -131,12 +124,7 @@ def person(c: Canvas, x: float, y: float, h: float, stride: float) -> None:
         hand = (x - side * (0.08 + 0.8 * stride) * h, y - 0.45 * h)
         c.disc(*hand, 0.026 * h, 0.93)
         c.rod(
-            (x - side * 0.07 * h, y - 0.78 * h),
-            (hand[0], hand[1] - 0.02 * h),
-            0.038 * h,
-            coat,
-            taper=0.75,
-            limb=0.08,
+            (x - side * 0.07 * h, y - 0.78 * h), (hand[0], hand[1] - 0.02 * h), 0.038 * h, coat, taper=0.75, limb=0.08
         )
     c.rod((x, y - 0.85 * h), (x, y - 0.8 * h), 0.035 * h, 0.92)
     c.rod((x, y - 0.75 * h), (x, y - 0.5 * h), 0.098 * h, coat + 0.02, taper=0.85, limb=0.09)
@@ -149,14 +137,7 @@ def deer(c: Canvas, x: float, y: float, h: float, way: int) -> None:
     for leg, lean in ((-0.46, -0.06), (-0.36, 0.05), (0.27, -0.05), (0.4, 0.08)):
         c.rod((x + way * leg * h, y - 0.45 * h), (x + way * (leg + lean) * h, y), 0.05 * h, 0.8, taper=0.4)
     c.rod((x - way * 0.36 * h, y - 0.56 * h), (x + way * 0.34 * h, y - 0.57 * h), 0.18 * h, 0.9, limb=0.18)
-    c.rod(
-        (x + way * 0.4 * h, y - 0.6 * h),
-        (x + way * 0.58 * h, y - 0.95 * h),
-        0.1 * h,
-        0.9,
-        taper=0.5,
-        limb=0.1,
-    )
+    c.rod((x + way * 0.4 * h, y - 0.6 * h), (x + way * 0.58 * h, y - 0.95 * h), 0.1 * h, 0.9, taper=0.5, limb=0.1)
     c.rod((x + way * 0.58 * h, y - 0.97 * h), (x + way * 0.76 * h, y - 0.9 * h), 0.075 * h, 0.96, taper=0.5)
     c.rod((x + way * 0.55 * h, y - h), (x + way * 0.47 * h, y - 1.1 * h), 0.03 * h, 0.84, taper=0.5)
 
@@ -192,10 +173,8 @@ def house(c: Canvas, x: float, y: float, w: float, h: float) -> None:
     columns, floors = max(2, round(w / 0.085)), max(2, round(h / 0.13))
     for i in range(columns):
         for j in range(floors):
-            left, upper = (
-                x + w / columns * (i + c.vary(0.2, 0.32)),
-                top + h / floors * (j + c.vary(0.2, 0.28)),
-            )
+            left = x + w / columns * (i + c.vary(0.2, 0.32))
+            upper = top + h / floors * (j + c.vary(0.2, 0.28))
             window(c, left, upper, 0.48 * w / columns, h / floors * c.vary(0.45, 0.58))
     c.glow(x + w * c.vary(0, 1), top + h * c.vary(0.3, 0.9), 0.05, 0.03, 0.12)
 

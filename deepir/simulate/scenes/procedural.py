@@ -175,12 +175,7 @@ def _machinery(c: Canvas) -> None:
     for _ in range(9):
         x, y, r, value = c.vary(0, c.aspect), c.vary(0.04, 0.6), c.vary(0.01, 0.028), c.vary(0.3, 0.8)
         bend, fall = x + c.vary(0.15, 0.6), c.vary(0.1, 0.5)
-        c.path(
-            [(x, -0.1), (x, y), (bend, y), (bend, y + fall), (bend + 0.9, y + fall)],
-            r,
-            value,
-            limb=0.25 * value,
-        )
+        c.path([(x, -0.1), (x, y), (bend, y), (bend, y + fall), (bend + 0.9, y + fall)], r, value, limb=0.25 * value)
         for flange in (x + 0.08, bend - 0.05):
             c.box(flange, y - 1.4 * r, 0.018, 2.8 * r, 0.8 * value)
     c.ground(0.8, 0.34, warmer=0.12, rough=0.02)
@@ -226,9 +221,7 @@ def _landscape(c: Canvas) -> None:
     c.blob(lake, 0.66, 0.33, 0.05, 0.24, ragged=0.06)
     c.glow(lake, 0.66, 0.2, 0.012, -0.05)
     c.polygon(
-        [(0.66 * c.aspect, 0.57), (0.67 * c.aspect, 0.57), (1.1 * c.aspect, 1), (0.8 * c.aspect, 1)],
-        0.62,
-        rough=0.02,
+        [(0.66 * c.aspect, 0.57), (0.67 * c.aspect, 0.57), (1.1 * c.aspect, 1), (0.8 * c.aspect, 1)], 0.62, rough=0.02
     )
     for _ in range(16):
         size, y = c.vary(0.01, 0.035), c.vary(0.62, 0.98)
@@ -246,8 +239,7 @@ def _landscape(c: Canvas) -> None:
     person(c, 0.86 * c.aspect, 0.92, 0.26, 0.1)
 
 
-#: Painters of the kinds of scenes; the seed chooses one.
-SCENE_PAINTERS = (_street, _front, _machinery, _landscape)
+SCENE_PAINTERS = (_street, _front, _machinery, _landscape)  # painters of the kinds of scenes; the seed chooses one
 
 
 #: Functions that draw a scene of a given seed and shape: `procedural:3`.

