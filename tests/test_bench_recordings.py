@@ -93,28 +93,30 @@ def test_more_noise_or_less_motion_raise_the_limit():
     assert np.abs(at_rest).max() < 1e-6 * len(shifts) * 16
 
 
-RUN = {"family": "drive", "name": "a", "seed": 0, "method": "correct", "status": "done", "kept": ""}
-FIGURES = {"fine": 0.5, "raw likeness": 0.9, "seconds": 2.0, "CPU seconds": 1.0}
-ROWS = [
-    RUN | FIGURES | {"low": 0.5, "likeness": 0.99},
-    RUN | FIGURES | {"low": 1.5, "likeness": 0.80, "name": "b"},
-    RUN | FIGURES | {"low": 0.1, "likeness": 0.95, "name": "c", "bad, false": 0.01},
-    RUN | {"name": "d", "status": "refused: no"},
-    RUN | FIGURES | {"low": 0.4, "likeness": 0.5, "method": "mean"},
-]
+@pytest.fixture
+def rows():
+    run = {"family": "drive", "name": "a", "seed": 0, "method": "correct", "status": "done", "kept": ""}
+    figures = run | {"fine": 0.5, "raw likeness": 0.9, "seconds": 2.0, "CPU seconds": 1.0}
+    return [
+        figures | {"low": 0.5, "likeness": 0.99},
+        figures | {"low": 1.5, "likeness": 0.80, "name": "b"},
+        figures | {"low": 0.1, "likeness": 0.95, "name": "c", "bad, false": 0.01},
+        run | {"name": "d", "status": "refused: no"},
+        figures | {"low": 0.4, "likeness": 0.5, "method": "mean"},
+    ]
 
 
-def test_a_table_counts_what_is_refused_and_what_is_worse_and_a_line_says_how_it_ended():
+def test_a_table_counts_what_is_refused_and_what_is_worse_and_a_line_says_how_it_ended(rows):
     from recordings_tables import line, summary
 
-    text = "\n".join(summary(ROWS))
+    text = "\n".join(summary(rows))
     assert "## Drive: 4 recordings, seeds 0" in text
     assert (
         "| correct | 1 | 1, 0, 1 of 3 | 0.500 (1.50) |  | 0.500 (0.50) | 0.950 (0.80) | 0.900 | 1.000 (1.00) |" in text
     )
     assert "Best low: `mean` (0.400); ahead of `correct`: `mean`. Best fine: `correct` (0.500). Best likeness" in text
-    assert line(ROWS[3]) == "drive 0: d: correct: refused: no"
-    assert "fine 0.5, low 0.5, likeness 0.99, raw likeness 0.9; 2.00 s, CPU 1.00 s" in line(ROWS[0])
+    assert line(rows[3]) == "drive 0: d: correct: refused: no"
+    assert "fine 0.5, low 0.5, likeness 0.99, raw likeness 0.9; 2.00 s, CPU 1.00 s" in line(rows[0])
 
 
 def test_every_family_has_recordings_or_a_reason():

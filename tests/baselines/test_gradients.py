@@ -9,7 +9,6 @@ from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture
 
 NOISE = 0.5  # counts, standard deviation
-OFFSETS = {"gain_pixel": 0.0, "gain_column": 0.0, "shading": 0.0, "dead_pixels": 0.0}
 
 # ---- many frames ----
 
@@ -17,7 +16,8 @@ OFFSETS = {"gain_pixel": 0.0, "gain_column": 0.0, "shading": 0.0, "dead_pixels":
 @pytest.fixture(scope="module")
 def sim():
     """Forty frames of 48 x 64 px, whose sensor has an offset only."""
-    return simulate(settings=Settings(n_frames=40, shape=(48, 64), own_scenes=True, **OFFSETS), seed=1)
+    offsets = {"gain_pixel": 0.0, "gain_column": 0.0, "shading": 0.0, "dead_pixels": 0.0}
+    return simulate(settings=Settings(n_frames=40, shape=(48, 64), own_scenes=True, **offsets), seed=1)
 
 
 def likeness(first, second):
