@@ -75,7 +75,7 @@ def solve_jointly(
     stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not has_held_out(problem):
         hold_out(problem, config.seed)
-    messages = network_message(problem, stages)
+    messages = list(network_message(problem, stages))
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     return solution, messages + recipe.warnings(problem, complete=config.solver.max_iterations is None)
 

@@ -48,18 +48,8 @@ def joint(
     checkpoint: Checkpoint | None = None,
 ) -> Result:
     """Fields for all unknowns, fitted together (the default)."""
-    solved = solve_data_sets if config.datasets else solve_burst
-    return solved(burst, config, callbacks=callbacks, checkpoint=checkpoint)
-
-
-def solve_burst(
-    burst: Burst,
-    config: Config,
-    *,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Checkpoint | None = None,
-) -> Result:
-    """The result of one data set."""
+    if config.datasets:
+        return solve_data_sets(burst, config, callbacks=callbacks, checkpoint=checkpoint)
     recipe = make_recipe(config)
     try:
         motion, used, messages = register_frames(burst, config, recipe)
