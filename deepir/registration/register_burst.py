@@ -87,10 +87,12 @@ def register(
         k: "is the same as the one before it" if earlier == k - 1 else f"is the same as frame {start + earlier}"
         for k, earlier in repeated_frames(frames).items()
     }
-    if n > MIN_SCENE_FRAMES:
-        is_shutter = shutter_frames(search_level(preprocessed, weight), "rigid" if model == AUTO else model)
+    distinct = [k for k in range(n) if k not in excluded]
+    if len(distinct) > MIN_SCENE_FRAMES:
+        level = search_level(preprocessed, weight).subset(torch.tensor(distinct))
+        is_shutter = shutter_frames(level, "rigid" if model == AUTO else model)
         reason = "shows the pattern and no scene, as where a shutter closes"
-        excluded |= dict.fromkeys(is_shutter.nonzero()[:, 0].tolist(), reason)
+        excluded |= {k: reason for k, closed in zip(distinct, is_shutter.tolist(), strict=True) if closed}
     frames = torch.where(weight > 0, frames.float(), 0.0)
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = torch.zeros(n, dtype=torch.float64)
