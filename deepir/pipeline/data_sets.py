@@ -65,11 +65,7 @@ def solve_data_sets(
 
 
 def solve_jointly(
-    problem: JointProblem,
-    recipe: Recipe,
-    config: Config,
-    callbacks: Sequence[Any],
-    checkpoint: Checkpoint | None,
+    problem: JointProblem, recipe: Recipe, config: Config, callbacks: Sequence[Any], checkpoint: Checkpoint | None
 ) -> tuple[Solution, list[str]]:
     """Run the plan of a problem that is started; the solution, and messages on it."""
     stages = plan(problem, recipe, config)

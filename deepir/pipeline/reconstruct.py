@@ -82,18 +82,15 @@ def joint(
     complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
     picture = scene_in_pattern_message(problem)
     found = given & ~problem.alive()
-    messages = (
-        (_small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture)
-        + (misfit_message(problem, burst.messages) if complete else [])
-        + region_message(found[None, None])
-    )
+    messages = _small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture
+    messages += misfit_message(problem, burst.messages) if complete else []
+    messages += region_message(found[None, None])
     known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
-    unseen = unseen_scene(
-        problem, geometry, kept if motion is None else dataclasses.replace(kept, bad_pixels=known.bad_pixels)
-    )
+    shown = kept if motion is None else dataclasses.replace(kept, bad_pixels=known.bad_pixels)
+    unseen = unseen_scene(problem, geometry, shown)
     if not recipe.judged:
         return mark_unseen(result, unseen)
     doubt = picture
