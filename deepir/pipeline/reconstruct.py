@@ -83,8 +83,7 @@ def joint(
     picture = scene_in_pattern_message(problem)
     found = given & ~problem.alive()
     messages = _small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture
-    messages += misfit_message(problem, burst.messages) if complete else []
-    messages += region_message(found[None, None])
+    messages += (misfit_message(problem, burst.messages) if complete else []) + region_message(found[None, None])
     known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
