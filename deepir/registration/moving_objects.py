@@ -39,9 +39,6 @@ from deepir.registration.robust_score import (
     robust_nll,
 )
 
-MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight at which a sample shows the background only
-INPAINTING_PASSES = 3  # alternations of scene and pattern
-
 
 def moving_object_mask(
     preprocessed: Tensor,
@@ -93,10 +90,13 @@ def inpaint_mean(frames: Tensor, mask: Tensor, weight: Tensor) -> Tensor:
     return torch.where(mask, _masked_mean(centred, weight * ~mask), centred).add_(levels)
 
 
-def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
+def inpaint_background(
+    frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor, *, passes: int = 3, min_visible: float = 0.99
+) -> Tensor:
     """Replace masked samples of frames `(N, H, W)` by scene and pattern of the others, at motions `(N, 3, 3)`.
 
-    Scene and pattern are estimated alternately. Where no other frame shows the scene, the temporal mean replaces the
+    Scene and pattern are estimated alternately. A sample of an interpolated weight above `min_visible` shows the
+    background only. Where no other frame shows the scene, the temporal mean replaces the
     samples. The median of each frame is kept. The mask is `(N, H, W)`, bool; the weight `(H, W)`, zero where a pixel is
     bad.
     """
@@ -105,10 +105,10 @@ def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Ten
     centred, visible, inverse = frames - levels, weight * ~mask, torch.linalg.inv(motion)
     mean = _masked_mean(centred, visible)
     interpolated, known = sample(visible, inverse, level)
-    is_visible = known * (interpolated > MIN_VISIBLE_WEIGHT)
+    is_visible = known * (interpolated > min_visible)
     n_visible = is_visible.sum(0).clamp_min(1)
     pattern = torch.zeros_like(mean)
-    for _ in range(INPAINTING_PASSES):
+    for _ in range(passes):
         scene = (sample(centred - pattern, inverse, level)[0] * is_visible).sum(0) / n_visible
         scene = torch.where(is_visible.any(0), scene, mean - pattern)
         expected, known = sample(scene[None], motion, level)

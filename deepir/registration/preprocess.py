@@ -19,8 +19,6 @@ from deepir.arrays.windows import median_filter
 
 MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it before the logarithm
 MAX_NONPOSITIVE_FRACTION = 0.05  # of the samples; with more, frames are no flux and no logarithm is taken
-STUCK_THRESHOLD = 10.0  # robust standard deviations; pixels of the mean frame beyond are stuck
-STRIPE_WINDOW = 31  # px across the lines; broader structure is no stripe
 LOW_PASS_SIGMA = 0.8  # px of the level; Gaussian low-pass of all frames
 SHADING_SHRINK = 4  # factor by which frames are reduced before shading is estimated
 SHADING_SIGMA = 1.5  # px of the reduced frames; shading and drift are smoother than this Gaussian
@@ -71,20 +69,21 @@ def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
     return y
 
 
-def line_pattern(image: Tensor, axis: int) -> Tensor:
+def line_pattern(image: Tensor, axis: int, *, window: int = 31) -> Tensor:
     """Offset of each line along `axis`: median, along it, of the difference from a moving average across the lines.
 
-    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows.
+    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows. What is broader than the window, px,
+    is no stripe.
     """
-    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest")
+    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), window, axis=1 - axis, mode="nearest")
     return (image - torch.from_numpy(moving_average)).median(axis, keepdim=True).values
 
 
-def stuck_pixels(image: Tensor) -> Tensor:
-    """Pixels `(H, W)` bool that differ from their 3 x 3 median by `STUCK_THRESHOLD` robust standard deviations."""
+def stuck_pixels(image: Tensor, *, threshold: float = 10.0) -> Tensor:
+    """Pixels `(H, W)` bool that differ from their 3 x 3 median by so many robust standard deviations."""
     deviation = (image - median_filter(image[None, None])[0, 0]).abs()
     scale = MAD_TO_SIGMA * float(subsample(deviation[None])[0].median())
-    return deviation > (STUCK_THRESHOLD * scale or torch.inf)
+    return deviation > (threshold * scale or torch.inf)
 
 
 def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:

@@ -15,8 +15,6 @@ from deepir.registration.preprocess import Level, sample
 from deepir.registration.shift_likelihood import match_to_reference
 
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
-MIN_OTHER_FRAMES = 3  # frames in which another one is searched
-MAX_REREGISTERED = 32  # frames that are searched again, at most: each search takes the time of all frames
 MIN_OVERLAPPING = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
 
 
@@ -123,20 +121,23 @@ def _masked_median(images: Tensor, known: Tensor) -> Tensor:
     return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)
 
 
-def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
+def reregister_worst_frames(
+    level: Level, motion: Tensor, model: str, *, max_frames: int = 32, min_others: int = 3
+) -> Tensor:
     """Search the worst frame again in the median scene of the others, as long as that clearly raises the score.
 
     Of motions `(N, 3, 3)`, NaN where a frame is not used, at most a few change. The model "shift" searches shifts only,
-    any other model rotations, too.
+    any other model rotations, too. At most `max_frames` are searched again, since each search takes the time of all
+    frames, and each in `min_others` or more.
     """
     used = motion.isfinite().all((1, 2))
-    for _ in range(min(len(motion), MAX_REREGISTERED)):
+    for _ in range(min(len(motion), max_frames)):
         residual = absolute_residuals(level, motion)
         frame_nll = sample_nll(residual, robust_sigma(residual)).mean((1, 2))
         worst = [int(frame_nll.where(used, -torch.inf).argmax())]
         candidate = motion.clone()
         candidate[worst] = torch.nan
-        if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
+        if candidate.isfinite().all((1, 2)).sum() < min_others:
             break
         scene, pattern, _ = median_model(level, candidate)
         image = level.frames[worst] - pattern

@@ -20,8 +20,6 @@ SEARCH_ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]  # ra
 ROTATION_MARGIN = 1.08
 WHITENING_EXPONENT = 0.7  # 0: cross-correlation, 1: phase correlation
 BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra are correlated
-MAX_REFERENCES = 4  # frames tried as the reference
-MAX_SWEEPS = 4  # sweeps of the integer search over all frames
 
 
 #: Height of a correlation peak, in standard deviations over all lags, at which two frames match: per root of the number
@@ -29,14 +27,16 @@ MAX_SWEEPS = 4  # sweeps of the integer search over all frames
 PEAK_PER_ROOT_PIXEL, PEAK_BOUNDS = 0.12, (4.5, 8.0)
 
 
-def correlation_search(images: Tensor, level: Level, model: str, pattern_present: bool) -> tuple[Tensor, Tensor]:
+def correlation_search(
+    images: Tensor, level: Level, model: str, pattern_present: bool, *, max_references: int = 4
+) -> tuple[Tensor, Tensor]:
     """Register all images `(N, h, w)` to the one that most of them match, the first of these.
 
     Arguments as `match_to_reference`. Returns motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`:
     height of the peak over the detection threshold, infinite for the reference itself.
     """
     candidates, found = list(range(len(images))), []
-    for _ in range(MAX_REFERENCES):
+    for _ in range(max_references):
         reference = candidates[0]
         motion, match_score = match_to_reference(images[reference], images, level, model, pattern_present)
         motion[reference], match_score[reference] = torch.eye(3, dtype=torch.float64), math.inf
@@ -236,7 +236,7 @@ class ShiftLikelihood:
         return self.real, self.imag, all_shifts, self.y, self.x, self.scene, self.pattern, self.noise
 
 
-def integer_shifts(frames: Tensor) -> np.ndarray:
+def integer_shifts(frames: Tensor, *, max_sweeps: int = 4) -> np.ndarray:
     """Most likely integer shifts (x, y) `(N - 1, 2)`, px, of variance-stabilised frames relative to the first.
 
     By coordinate descent over the frames. Each frame is compared with the placed ones at all shifts d at once. The
@@ -247,7 +247,7 @@ def integer_shifts(frames: Tensor) -> np.ndarray:
     likelihood = ShiftLikelihood(frames)
     h, w = likelihood.size
     shifts, is_placed = np.zeros((len(frames), 2), int), np.arange(len(frames)) == 0
-    for _ in range(MAX_SWEEPS):
+    for _ in range(max_sweeps):
         previous = shifts.copy()
         for k in range(1, len(frames)):
             other_frames = is_placed & (np.arange(len(frames)) != k)

@@ -16,8 +16,9 @@ from deepir.problems.deblur_lag import speed_message, start_motion
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
 
-SHIFTS = {"motion": "shift", "max_shift": 4.0}
-CAMERA = Settings(n_frames=7, shape=(56, 72), tau=10.0, counts=True, shading=0.0, dead_pixels=0.0, **SHIFTS)
+CAMERA = Settings(
+    n_frames=7, shape=(56, 72), motion="shift", max_shift=4.0, tau=10.0, counts=True, shading=0.0, dead_pixels=0.0
+)
 RUN = {"threads": 1, "physics": {"warp": {"motion": "shift"}}}
 QUICK = RUN | {"solver": {"max_iterations": 2}}
 
