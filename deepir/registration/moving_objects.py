@@ -28,6 +28,7 @@ from deepir.registration.motion_search import (
     MotionEstimate,
     coarse_search,
     final_levels,
+    most_likely_rotations,
     refine,
     search_level,
 )
@@ -38,6 +39,7 @@ from deepir.registration.robust_score import (
     reregister_worst_frames,
     robust_nll,
 )
+from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
 
 
 def moving_object_mask(
@@ -191,21 +193,24 @@ def is_well_explained(estimate: MotionEstimate) -> bool:
 
 
 def alternative_estimates(estimate: MotionEstimate, mask: Tensor) -> Iterator[MotionEstimate]:
-    """Propose motions that discount moving objects, where a search that does so differs from the estimate.
+    """Propose motions that discount moving objects, if a search that does so differs from the estimate.
 
-    First with the objects, samples of the mask `(N, H, W)` bool, inpainted by the temporal mean; then from the
-    background.
+    In order: with the objects, samples of the mask `(N, H, W)` bool, inpainted by the temporal mean; from the
+    background; of maximum likelihood, from the background.
     """
     frames, weight, model = estimate.frames, estimate.weight, estimate.model
     inpainted, preprocessed = (inpaint_mean(each, mask, weight) for each in (frames, estimate.preprocessed))
     candidate = coarse_search(inpainted, preprocessed, weight, model)
-    if is_distinct(estimate, candidate):
+    if any_differs := is_distinct(estimate, candidate):
         yield refine(candidate)
     background = weight * ~mask.any(0)
     if background.mean() > CANDIDATE.min_background:
         candidate = coarse_search(frames, estimate.preprocessed * (background > 0), background, model)
         if is_distinct(estimate, candidate):
+            any_differs = True
             yield replace(refine(candidate), weight=weight)
+        if any_differs and estimate.used.sum() > 2:
+            yield replace(estimate, motion=most_likely_motion(frames[estimate.used], background, model))
 
 
 def is_distinct(estimate: MotionEstimate, other: MotionEstimate) -> bool:
@@ -214,6 +219,20 @@ def is_distinct(estimate: MotionEstimate, other: MotionEstimate) -> bool:
         return True
     motions = relative(estimate.motion), relative(other.motion)
     return len(estimate.motion) > 1 and corner_distance(*motions, estimate.frames) > DISTINCT_DISTANCE
+
+
+def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
+    """Maximum-likelihood shifts, or rigid motions where these are distinct from shifts, relative to the first frame.
+
+    Motions `(N, 3, 3)` of frames `(N, H, W)` of weight `(H, W)`. Only the model "rigid" includes rotations.
+    """
+    reduced, factor = likelihood_frames(frames, weight)
+    motion = identity(len(reduced))
+    motion[1:, :2, 2] = factor * torch.from_numpy(maximise_shift_likelihood(reduced, integer_shifts(reduced)))
+    if model != "rigid":
+        return motion
+    rigid = most_likely_rotations(frames, weight, motion)
+    return rigid if corner_distance(motion, rigid, frames) > DISTINCT_DISTANCE else motion
 
 
 def is_likelier(estimate: MotionEstimate, candidate: MotionEstimate, frames: Tensor, mask: Tensor) -> bool:
