@@ -106,9 +106,8 @@ def overlay_mask(calm: Tensor, expected: Tensor, usable: Tensor, noise: float) -
     whole = calm[0, 0].numpy(force=True)
     names, _ = scipy.ndimage.label(whole, np.ones((3, 3)))
     rim = whole & ~scipy.ndimage.binary_erosion(whole, border_value=1)
-    found, all_of_it = (
-        np.bincount(names[rim & each], minlength=names.max() + 1) for each in (drawn[0, 0].numpy(force=True), whole)
-    )
+    at_rim = rim & drawn[0, 0].numpy(force=True), rim
+    found, all_of_it = (np.bincount(names[each], minlength=names.max() + 1) for each in at_rim)
     return drawn | torch.from_numpy((found > RIM_SHARE * all_of_it)[names]).to(drawn)
 
 
@@ -134,14 +133,9 @@ def line_median(image: Tensor, known: Tensor, axis: int) -> Tensor:
 
 @torch.no_grad()
 def misfitting_pixels(misfit: Tensor, usable: Tensor) -> Tensor:
-    """Detect pixels whose mean misfit over the frames is large, also relative to their neighbours.
+    """Pixels (1, 1, h, w), bool, whose mean misfit over the frames is large, also relative to their neighbours.
 
-    Args:
-        misfit: Squared residuals, noise variances, (N, 1, h, w).
-        usable: Samples that count, same shape.
-
-    Returns:
-        (1, 1, h, w), bool.
+    misfit: Squared residuals, noise variances, (N, 1, h, w). usable: Samples that count, same shape.
     """
     count = usable.sum(0, keepdim=True)
     mean = misfit.clamp(max=MAX_MISFIT).sum(0, keepdim=True) / count.clamp(min=1)
@@ -155,22 +149,13 @@ def with_scene_error(misfit: Tensor, expected: Tensor, usable: Tensor, variance:
     A displacement that is a little wrong misfits in proportion to the contrast of the scene. So the variance of these
     errors is in proportion to the square of the contrast, by a factor that all samples share.
 
-    Args:
-        misfit: Squared residuals, noise variances, (N, 1, h, w).
-        expected: What the scene lets expect, same shape.
-        usable: Samples that count, same shape.
-        variance: Of the noise, same shape or a number.
+    misfit: Squared residuals, noise variances, (N, 1, h, w). expected: What the scene lets expect, same shape.
+    usable: Samples that count, same shape. variance: Of the noise, same shape or a number.
     """
     contrast = F.max_pool2d(expected, 3, 1, 1).add_(F.max_pool2d(-expected, 3, 1, 1)).div_(2)  # half the range
     error = contrast.square_().div_(variance)
     excess = (misfit.clamp(max=MAX_MISFIT) - 1).mul_(usable).sum().clamp_(min=0)
     return misfit / error.mul_(excess / (error * usable).sum().clamp_(min=1e-30)).add_(1)
-
-
-@torch.no_grad()
-def isolated_pixels(misfit: Tensor, times: float = 1.5) -> Tensor:
-    """Pixels (h, w), bool, that misfit so many times more than their neighbourhood."""
-    return misfit > times * median_filter(misfit[None, None])[0, 0]
 
 
 @torch.no_grad()

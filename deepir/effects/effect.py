@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -83,6 +84,6 @@ class Effect:
         """The schedule with the stages of this effect."""
         return schedule
 
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> Iterable[str]:
         """Warnings once all is solved; `complete`: the solve was not cut short, which leaves drift and residuals."""
-        return []
+        return ()

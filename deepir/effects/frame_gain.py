@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -59,37 +61,29 @@ class FrameGain(Effect):
     def finish(self, problem: Problem) -> None:
         normalise_frame_gain(problem)
 
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> Iterator[str]:
         apart = float((problem.contrast / problem.contrast.mean() - 1).abs().max())
         if not (complete and apart >= (REPORTED_AGC if problem.agc else REPORTED_DRIFT)):
-            return []
+            return
         if problem.agc:
-            return [
-                Message(
-                    "contrast-varies",
-                    f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is "
-                    "evened out. Record with a fixed gain, 14 or 16 bits, to measure",
-                )
-            ]
-        return [
-            Message(
+            yield Message(
+                "contrast-varies",
+                f"the contrast of the frames differs by up to {apart:.0%}, as an automatic gain makes it: it is "
+                "evened out. Record with a fixed gain, 14 or 16 bits, to measure",
+            )
+        else:
+            yield Message(
                 "response-drift",
                 f"the camera's response drifts, by up to {apart:.1%} from frame to frame: it is evened out",
             )
-        ]
 
 
 @torch.no_grad()
 def normalise_frame_gain(problem: Problem, least: float = 0.0) -> bool:
-    """Divide AGC frames by their gains, of mean one, estimated by regression on the prediction.
+    """Divide AGC frames by their gains, of mean one, estimated by regression on the prediction; whether any was.
 
-    Args:
-        problem: Its data are divided, and its `contrast` multiplied.
-        least: In the initial estimate, gains that all deviate by less are left; the fixed pattern, which is not in
-            the prediction yet, is added to it.
-
-    Returns:
-        Whether frames were divided. Once a round has found all gains equal, none is.
+    Once a round has found all gains equal, none is. In the initial estimate gains that all deviate by less than `least`
+    are left; the fixed pattern, which is not in the prediction yet, is added to it.
     """
     if not problem.agc or problem.gains_are_equal:
         return False
@@ -162,22 +156,17 @@ class GainDrift(Effect):
         return True
 
     def plan(self, problem: Problem, schedule: Schedule, rounds: Rounds) -> Schedule:
-        def again(problem: Problem) -> None:
+        def corrected(then: Callable[[Problem], None], problem: Problem) -> None:
             correct_gain_drift(problem)
-            rounds.restart(problem)
-
-        def go_on(problem: Problem) -> None:
-            correct_gain_drift(problem)
-            rounds.update(problem)
+            then(problem)
 
         last = schedule("sensor 3")
-        return schedule.after(
-            last.name,
-            *(
-                replace(last, name=f"response {i}", needed=detect_gain_drift, prepare=prepare)
-                for i, prepare in enumerate((again, go_on, go_on), 1)
-            ),
+        prepared = (partial(corrected, then) for then in (rounds.restart, rounds.update, rounds.update))
+        stages = (
+            replace(last, name=f"response {i}", needed=detect_gain_drift, prepare=prepare)
+            for i, prepare in enumerate(prepared, 1)
         )
+        return schedule.after(last.name, *stages)
 
 
 def has_exposures(problem: Problem) -> bool:

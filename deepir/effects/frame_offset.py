@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
@@ -55,31 +56,24 @@ class FrameOffset(Effect):
         drift.level_offsets.add_(level)
         return True
 
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> Iterator[str]:
         """Say so if the frames' levels drift, whether the problem knows it or not."""
         least = REPORTED_DRIFT * median_sigma(problem.precision)
         name = problem.sensor_unknowns().get("level", "")
         if not (complete and name):
-            return []
+            return
         if name in problem.free():
             found = problem.fields[name]().detach().mean((1, 2, 3))
             chance = sum(each.frame_mean_variance for each in problem.modules() if isinstance(each, LineNoise))
-            if float((found - found.mean()).abs().max()) <= least + CHANCE_DRIFT * chance**0.5:
-                return []
-            return [
-                Message(
+            if float((found - found.mean()).abs().max()) > least + CHANCE_DRIFT * chance**0.5:
+                yield Message(
                     "level-drift",
                     f"the level of whole frames drifts, by {found.std():.3g}: "
                     "a slope across the scene is separated from that only in part",
                 )
-            ]
-        drift = float(frame_levels(problem)[0].abs().max())
-        if drift < least:
-            return []
-        return [
-            Message(
+        elif (drift := float(frame_levels(problem)[0].abs().max())) >= least:
+            yield Message(
                 "level-drift-ignored",
                 f"the level of whole frames drifts, by {drift:.3g} or more: estimate it, with "
                 "physics.sensor.level=drift",
             )
-        ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 
 import torch
 from torch import Tensor
@@ -97,22 +98,17 @@ class TemporalLineNoise(Effect):
             return schedule
         scene, level = schedule("scene"), problem.sensor_unknowns()["level"]
         step = Step((*scene.steps[0].group, *([level] if level in problem.free() else [])))
-        return schedule.replaced(
-            "scene",
-            dataclasses.replace(scene, needed=lambda it: not has_line_noise(it)),
-            dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=has_line_noise),
-        )
+        alone = dataclasses.replace(scene, needed=lambda it: not has_line_noise(it))
+        lines = dataclasses.replace(scene, name="scene and lines", steps=(step,), needed=has_line_noise)
+        return schedule.replaced("scene", alone, lines)
 
     @torch.no_grad()
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> Iterator[str]:
         noise = median_sigma(problem.precision)
-        found = [(field.line_name, float(field.sigma)) for field in line_noise_fields(problem)]
-        return [
-            Message(
-                "line-noise",
-                f"{lines} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's noise: "
-                "estimated and taken out",
-            )
-            for lines, sigma in found
-            if sigma > 0
-        ]
+        for field in line_noise_fields(problem):
+            if (sigma := float(field.sigma)) > 0:
+                yield Message(
+                    "line-noise",
+                    f"{field.line_name} jump by {sigma:.3g} from frame to frame, {sigma / noise:.2g} times a sample's "
+                    "noise: estimated and taken out",
+                )

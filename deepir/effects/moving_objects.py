@@ -51,10 +51,8 @@ Region = tuple[tuple[slice, ...], Tensor]
 class MovingObjects:
     """Moving objects of a burst.
 
-    Args:
-        samples: That show an object, (N, 1, h, w), bool.
-        alone: Samples that are the only ones to see the scene behind an object, (N, 1, h, w), bool.
-        contrast: Median difference between object and scene, robust standard deviations.
+    samples: That show an object, (N, 1, h, w), bool. alone: Samples that are the only ones to see the scene behind an
+    object, same shape. contrast: Median difference between object and scene, robust standard deviations.
     """
 
     samples: Tensor
@@ -64,13 +62,10 @@ class MovingObjects:
 
 @torch.no_grad()
 def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
-    """Give samples of moving objects next to no weight; see `detect_moving_objects`.
+    """Give samples of moving objects next to no weight; their contrast, 0 without an object.
 
     Samples that alone see the scene behind an object get their weight back: their residual is that of an object in the
-    scene that the other frames show.
-
-    Returns:
-        Median difference between object and scene, robust standard deviations; 0 without an object.
+    scene that the other frames show. See `detect_moving_objects`.
     """
     problem.moving.zero_()
     found = detect_moving_objects(problem, settled=settled)
@@ -84,17 +79,11 @@ def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
 
 @torch.no_grad()
 def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingObjects | None:
-    """Detect moving objects by the residuals, carried to the scene's grid.
+    """Detect moving objects by the residuals, carried to the scene's grid; None where nothing moves.
 
     Where the frames fall into two groups at a place, an object is in front of the scene in one of them; `foreground`
-    decides in which.
-
-    Args:
-        problem: With a scene and a pattern that explain most of the frames.
-        settled: Scene and pattern have converged: places where the other frames still disagree are parallax.
-
-    Returns:
-        None where nothing moves.
+    decides in which. Scene and pattern explain most of the frames. Once they have `settled`, places where the other
+    frames still disagree are parallax.
     """
     values = problem.values()
     first, frames = problem.operator.named()[0][1], len(problem.data)
@@ -160,9 +149,8 @@ def _usual(seen: Tensor, known: Tensor) -> float:
     """Robust standard deviation of frames (N, h, w) from their mean at each place."""
     count = known.sum(0)
     apart = seen - (seen * known).sum(0) / count.clamp(min=1)
-    return (
-        MAD_TO_SIGMA * median(masked_values(apart.abs_(), known & (count > 1))) * (len(seen) / (len(seen) - 1)) ** 0.5
-    )
+    typical = median(masked_values(apart.abs_(), known & (count > 1)))
+    return MAD_TO_SIGMA * typical * (len(seen) / (len(seen) - 1)) ** 0.5
 
 
 def _regions(wide: Tensor, far: Tensor) -> Iterator[Region]:
@@ -200,7 +188,7 @@ def _shown(flux: Tensor, known: Tensor, above: Tensor, regions: Sequence[Region]
 
 
 def foreground(flux: Tensor, known: Tensor, above: Tensor, below: Tensor) -> Tensor:
-    """Which of two groups of frames shows the moving object, at each place.
+    """Which of two groups of frames shows the moving object, at each place, (N, H, W), bool.
 
     An object is in much the same frames as at nearby places, object and scene are as bright as there, and the object is
     in the smaller group. Places are decided in turns, until none changes (iterated conditional modes, Besag 1986).
@@ -210,13 +198,9 @@ def foreground(flux: Tensor, known: Tensor, above: Tensor, below: Tensor) -> Ten
         known: Frames that see a place, (N, H, W), bool.
         above: The brighter group of frames at each place, (N, H, W), bool; none outside objects.
         below: The darker group.
-
-    Returns:
-        Frames that show the object, (N, H, W), bool.
     """
-    vote_side, level_side = (
-        _odd(share * float((above | below).any(0).sum()) ** 0.5) for share in (VOTE_WINDOW, LEVEL_WINDOW)
-    )
+    side = float((above | below).any(0).sum()) ** 0.5
+    vote_side, level_side = (2 * round(share * side / 2) + 1 for share in (VOTE_WINDOW, LEVEL_WINDOW))
     flux = flux - flux[known].mean()  # small numbers, whose squares are exact
     count = (above.sum(0) + below.sum(0)).clamp(min=1)
     side = above.to(flux) - below.to(flux)
@@ -247,10 +231,6 @@ def _misfit(levels: Tensor, flux: Tensor, some: Tensor, least: Tensor, side: int
     mean = total / count.clamp(min=1)
     variance = (squares / count.clamp(min=1) - mean.square()).clamp(min=0) + least
     return ((levels - mean).square() / (2 * variance)).clamp(max=MAX_LEVEL_MISFIT) * (count > MIN_SAMPLES)
-
-
-def _odd(side: float) -> int:
-    return 2 * round(side / 2) + 1
 
 
 def _box_sum(images: Tensor, side: int) -> Tensor:
@@ -310,14 +290,10 @@ class MovingObjectsMask(Effect):
     def finish(self, problem: Problem) -> None:
         down_weight_moving(problem)
 
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
-        share = float(problem.moving.double().mean())
-        if not share:
-            return []
-        return [
-            Message(
+    def messages(self, problem: Problem, *, complete: bool) -> Iterator[str]:
+        if share := float(problem.moving.double().mean()):
+            yield Message(
                 "moving-object",
                 f"something moves by itself: {share:.2%} of the samples show it and are left out ('moving' in "
                 "result.npz); what it covers in most frames is estimated only in part",
             )
-        ]

@@ -46,10 +46,8 @@ def update_noise(problem: Problem, *, settled: bool = False) -> None:
     noise = problem.noise or estimate_noise(problem, prediction, signal)
     if noise is None:
         return
-    usable, misfit = (
-        problem.precision > 0,
-        problem.residual_after_scene_step(values, problem.data - prediction),
-    )
+    usable = problem.precision > 0
+    misfit = problem.residual_after_scene_step(values, problem.data - prediction)
     # A frame at a time: what is needed on the way stays in the cache.
     for k, signal_k in enumerate(signal):
         signal_k.mul_(noise.per_unit).add_(noise.read).clamp_(min=noise.floor)  # from here on, the variance

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
 from deepir.effects.effect import Effect, Rounds
-from deepir.estimation.low_order_evidence import (
-    GainOffsetEvidence,
-    LowOrderEvidence,
-    contrast,
-    gain_and_offset,
-)
+from deepir.estimation.low_order_evidence import GainOffsetEvidence, LowOrderEvidence, contrast, gain_and_offset
 from deepir.estimation.residuals import has_line_noise
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
@@ -132,21 +127,17 @@ class LowOrderParts(Effect):
         return False
 
     @torch.no_grad()
-    def messages(self, problem: Problem, *, complete: bool) -> list[str]:
+    def messages(self, problem: Problem, *, complete: bool) -> Iterator[str]:
         shadings, stray, drifts = low_order_unknowns(problem)
         if not complete or not (shadings or stray) or len(problem.data) >= MIN_FRAMES:
-            return []
-        evidence = LowOrderEvidence(problem, stray)
-        smooth, _ = evidence.most_likely(smooth=True, drift=bool(drifts))
-        if not smooth:
-            return []
-        return [
-            Message(
+            return
+        smooth, _ = LowOrderEvidence(problem, stray).most_likely(smooth=True, drift=bool(drifts))
+        if smooth:
+            yield Message(
                 "shading-not-separated",
                 f"the frames are shaded, which {len(problem.data)} of them do not separate from the scene: it is left "
                 f"in. Take {MIN_FRAMES} or more",
             )
-        ]
 
 
 @register("effect", "vignetting")

@@ -62,10 +62,8 @@ MAX_ERROR_DEGREE = 2
 class MarginalLikelihood:
     """Marginal likelihood for a negative log-likelihood `½ x' A x - b' x` whose first unknowns have a flat prior.
 
-    Attributes:
-        system: Schur complement of A after integration over the first unknowns.
-        score: The corresponding part of b.
-        constant: Nats of that integral.
+    Attributes: `system`, the Schur complement of A after integration over the first unknowns; `score`, the
+    corresponding part of b; `constant`, nats of that integral.
 
     Args:
         normal: A, (K, K).
@@ -157,9 +155,8 @@ class LowOrderEvidence(_StrengthEvidence):
         #: Variances of the polynomials for a strength of one.
         self.shape = self.low_order.frame.relative_sigma.square()
         if stray_flux:
-            self.shape = torch.stack(
-                [self.low_order.basis_columns(one)[0][1:].square().sum(1) for one in stray_flux]
-            ).sum(0)
+            columns = [self.low_order.basis_columns(one)[0][1:] for one in stray_flux]
+            self.shape = torch.stack([each.square().sum(1) for each in columns]).sum(0)
         self.jumps = float(frame_level_offsets(problem).square().mean().sqrt())
         residual = _low_order_residual(problem, self.low_order.frame)
         (some,) = subsample(residual[:, None])
@@ -212,14 +209,9 @@ class LowOrderEvidence(_StrengthEvidence):
         return columns + 2 * float(moved[1]) / height * variance[ROW] / height
 
     def most_likely(self, *, smooth: bool, drift: bool) -> tuple[float, float]:
-        """Prior standard deviations of maximum marginal likelihood.
+        """Standard deviations (shading, drift) of maximum marginal likelihood, data units.
 
-        Args:
-            smooth: Whether shading is a candidate.
-            drift: Whether drift is a candidate.
-
-        Returns:
-            Standard deviations (shading, drift), data units; zero without sufficient evidence.
+        Of shading where it is a candidate (`smooth`), and of drift likewise; zero without sufficient evidence.
         """
         coarse, fine = N_SIGMAS
         grid = self.contrast * torch.logspace(-4.5, 0.5, coarse, dtype=torch.float64)
@@ -233,21 +225,18 @@ class LowOrderEvidence(_StrengthEvidence):
         nats = dict(zip(map(tuple, used.tolist()), (each for each, _ in best), strict=True))
         shaded = nats.get((1, 0), math.inf) + self.min_log_bayes_factor < nats.get((0, 0), math.inf)
         gains_vary = self.low_order.problem.agc and not self.low_order.problem.gains_are_equal
-        rare = (
-            [MIN_LOG_BAYES_FACTOR_AGC, MIN_LOG_BAYES_FACTOR]
-            if gains_vary
-            else [self.min_log_bayes_factor, MIN_LOG_BAYES_FACTOR_DRIFT if shaded else MIN_LOG_BAYES_FACTOR]
-        )
+        rare = [self.min_log_bayes_factor, MIN_LOG_BAYES_FACTOR_DRIFT if shaded else MIN_LOG_BAYES_FACTOR]
+        if gains_vary:
+            rare = [MIN_LOG_BAYES_FACTOR_AGC, MIN_LOG_BAYES_FACTOR]
         asked = torch.tensor(list(nats.values())) + used @ torch.tensor(rare, dtype=torch.long)
         found = best[int(asked.argmin())][1]
         if drift and not gains_vary and not found[1]:
             drifting = best[int(asked.where(used[:, 1] > 0, math.inf).argmin())][1]
             # A slope of the sensor, and one of the scene the other way, are there to explain the levels alone.
-            if (
-                drifting[0] < MAX_REMAINING_SHADING * found[0]
-                and self._scene_change(found, drifting) > MIN_SCENE_CHANGE
-            ):
-                found = drifting
+            if drifting[0] < MAX_REMAINING_SHADING * found[0]:
+                change = self.low_order_scene(*found) - self.low_order_scene(*drifting)
+                if float(change.std()) / self.contrast > MIN_SCENE_CHANGE:
+                    found = drifting
         return found[0], found[1]
 
     def profile(self, smooth: Tensor, *, drift: bool) -> tuple[Tensor, Tensor]:
@@ -257,10 +246,6 @@ class LowOrderEvidence(_StrengthEvidence):
         nats = self.nats(torch.cartesian_prod(smooth, levels).reshape(-1, 2)).view(len(smooth), -1).cpu()
         best = (nats + MIN_LOG_BAYES_FACTOR * (levels > 0)).min(1)
         return best.values, levels[best.indices]
-
-    def _scene_change(self, one: Sequence[float], other: Sequence[float]) -> float:
-        """How far apart scenes are at two strengths (shading, drift), in standard deviations of the data."""
-        return float((self.low_order_scene(*one) - self.low_order_scene(*other)).std()) / self.contrast
 
     def _prior(self, strengths: Tensor) -> Tensor:
         """Variances of φ and of the levels, (K, terms + N)."""
@@ -311,7 +296,7 @@ class GainOffsetEvidence(_StrengthEvidence):
         self.low = (frame.order_y + frame.order_x <= MAX_ERROR_DEGREE) & (doubt is not None)
         self.doubt = frame.relative_sigma[self.low] if doubt is None else doubt[1:][self.low]  # none, or some
         step = math.ceil((flux[0].numel() / MAX_PIXELS) ** 0.5)
-        some = slice(1, -1, step), slice(1, -1, step)
+        some = (slice(1, -1, step),) * 2
         seen = flux, problem.data - frame_level_offsets(problem), problem.fitted()
         self.shape = flux[0, 0, *some].shape
         z, data, precision = (each[:, 0, *some].flatten(1) for each in seen)
@@ -372,14 +357,10 @@ class GainOffsetEvidence(_StrengthEvidence):
             yield columns
 
     def best(self, *, shaded: bool, drift: bool) -> tuple[float, list[float]]:
-        """Standard deviations of maximum marginal likelihood.
+        """Fewest nats, and their standard deviations (offset's shading, drift, gain's shading).
 
-        Args:
-            shaded: Whether shading of the gain is a candidate.
-            drift: Whether drift is a candidate, at the cost of `MIN_LOG_BAYES_FACTOR_DRIFT` nats.
-
-        Returns:
-            Negative log marginal likelihood, nats; standard deviations of the offset's shading, drift, gain's shading.
+        Of the negative log marginal likelihood, with shading of the gain where it is a candidate (`shaded`), and drift
+        likewise, at the cost of `MIN_LOG_BAYES_FACTOR_DRIFT` nats.
         """
         coarse, fine = N_GAIN_SIGMAS
         grid = self.spread * torch.logspace(-3.5, 0.5, coarse, dtype=torch.float64)
@@ -414,16 +395,14 @@ def _low_order_residual(problem: Problem, frame: Shading) -> Tensor:
     values = dict(problem.values())
     flux = problem.flux(values)
     problem.eliminate(values, closed, flux=flux)
-    high_order = {}
-    for kind, neutral in (("gain", 1.0), ("offset", 0.0)):
-        name = problem.slots[f"{problem.operator.named()[-1][0]}.{kind}"]
-        high_order[kind] = values[name]
+    high_order = []
+    for name, neutral in zip(problem.sensor_unknowns().values(), (1.0, 0.0), strict=False):
+        value = values[name]
         if name in closed:
-            own = (values[name] - neutral)[0, 0].double()
-            high_order[kind] = high_order[kind] - frame.project(own).to(high_order[kind])
-    return torch.addcmul(
-        problem.data - high_order["offset"] - frame_level_offsets(problem), high_order["gain"], flux, value=-1
-    )[:, 0]
+            value = value - frame.project((value - neutral)[0, 0].double()).to(value)
+        high_order.append(value)
+    gain, offset = high_order
+    return torch.addcmul(problem.data - offset - frame_level_offsets(problem), gain, flux, value=-1)[:, 0]
 
 
 def _clipped(residual: Tensor, some: Tensor) -> tuple[Tensor, float]:

@@ -52,11 +52,8 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
     """Set the weight maps of adaptive penalties from the texture and the information at each pixel.
 
     Texture is the geometric mean over windows of the gradients of a scene found under a weak prior, so that single
-    edges in a smooth region count little. Other spatially weighted penalties get one factor for the whole scene.
-
-    Args:
-        problem: Its scene is the one under a weak prior; the weights of its penalties are changed.
-        cost: Pattern cost, dB: the noise of the scene exceeds that of the samples by this.
+    edges in a smooth region count little. Other spatially weighted penalties get one factor for the whole scene. The
+    noise of the scene exceeds that of the samples by the pattern cost, dB.
     """
     if problem.fields["scene"].shape[0] > 1:
         return
@@ -64,16 +61,11 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
     adaptive = [each for each in penalties if isinstance(each, SpatiallyWeighted) and each.is_adaptive]
     information, typical = _information(problem)
     noise_factor = 10 ** (cost / 20)
-    image = problem.operator.to_pixels(problem.fields["scene"]())
-    gradient = squared_gradient(image)
-    exponent = smoothness_exponent(
-        float(gradient[information > WEIGHT_INFORMATION_RANGE[0] * typical].sqrt().mean()) * typical**0.5
-    )
-    weight_map = (
-        noise_factor
-        * weight_from_gradients((gradient * information).sqrt_(), exponent, noise_factor)
-        * (information / typical).sqrt_()
-    )
+    gradient = squared_gradient(problem.operator.to_pixels(problem.fields["scene"]()))
+    mean = float(gradient[information > WEIGHT_INFORMATION_RANGE[0] * typical].sqrt().mean()) * typical**0.5
+    exponent = smoothness_exponent(mean)
+    weight = weight_from_gradients((gradient * information).sqrt_(), exponent, noise_factor)
+    weight_map = noise_factor * weight * (information / typical).sqrt_()
     problem.smoothness_exponent.fill_(exponent)
     for penalty in adaptive:
         if penalty.adapts:
@@ -83,31 +75,21 @@ def adapt_weight_map(problem: Problem, cost: float = 0.0) -> None:
 
 
 def smoothness_exponent(gradient: float) -> float:
-    """log2 of the extra penalty weight that a smooth scene allows.
-
-    Args:
-        gradient: Mean gradient of the scene, noise standard deviations per px.
-    """
+    """log2 of the extra penalty weight that a scene of this mean gradient allows, noise standard deviations per px."""
     return (GLOBAL_SMOOTHNESS_SCALE / max(gradient, NOISE_GRADIENT)) ** 2
 
 
 def weight_from_gradients(gradient: Tensor, exponent: float, noise_factor: float = 1.0) -> Tensor:
-    """Weight map of a penalty, relative to its default weight.
+    """Weight map of a penalty, (1, 1, H, W), relative to its default weight.
 
     Args:
-        gradient: Of the scene, (1, 1, H, W), noise standard deviations per px; changed in place.
+        gradient: Of the scene, same shape, noise standard deviations per px.
         exponent: Of `smoothness_exponent` for the whole scene.
         noise_factor: Noise of the scene relative to that of its samples.
-
-    Returns:
-        (1, 1, H, W).
     """
     texture = _mean((gradient + GRADIENT_OFFSET).log_(), TEXTURE_WINDOW).exp_()
-    return (
-        ((noise_factor * LOCAL_SMOOTHNESS_SCALE / texture) ** 2 - LOCAL_EXPONENT_OFFSET)
-        .clamp_(max=max(MAX_LOCAL_EXPONENT, exponent))
-        .exp2_()
-    )
+    exponents = (noise_factor * LOCAL_SMOOTHNESS_SCALE / texture) ** 2 - LOCAL_EXPONENT_OFFSET
+    return exponents.clamp_(max=max(MAX_LOCAL_EXPONENT, exponent)).exp2_()
 
 
 def _information(problem: Problem) -> tuple[Tensor, float]:
@@ -126,9 +108,7 @@ def _mean(image: Tensor, window: int) -> Tensor:
 def weigh_scene(problem: AnyProblem, factor: float = 1.0) -> None:
     """Set the weights of the scenes' penalties and adapt their state to the present scenes.
 
-    Args:
-        problem: Its penalties are changed.
-        factor: Factor on the weight of the configuration, or on the default weight for the noise.
+    To `factor` times the weight of the configuration, or the default weight for the noise.
     """
     for name, shown_by in problem.scenes.items():
         first, averages = shown_by[0], [_average_noise(each) for each in shown_by]
@@ -166,15 +146,9 @@ def penalties_of(problem: AnyProblem, name: str) -> tuple[Penalty, ...]:
 def unknown_noise(problem: AnyProblem, name: str) -> float:
     """Standard deviation of the noise of an unknown of which nothing but the data is known.
 
-    It is that of a typical entry, `diag(J' W J)^-1/2`, from the derivative J of the prediction; the diagonal is probed
-    with random signs (Bekas, Kokiopoulou, Saad 2007).
-
-    Args:
-        problem: Its present values are the point of expansion.
-        name: The unknown.
-
-    Returns:
-        In the units of the unknown; inf if the data do not depend on it.
+    It is that of a typical entry, `diag(J' W J)^-1/2`, from the derivative J of the prediction at the present values;
+    the diagonal is probed with random signs (Bekas, Kokiopoulou, Saad 2007). In the units of the unknown; inf if the
+    data do not depend on it.
     """
     values = problem.values()
     value = values[name]
@@ -262,15 +236,9 @@ Maps = dict[str, np.ndarray]
 def pattern_cost_db(problem: Problem, penalty_factor: float = 1.0) -> float:
     """Pattern cost, dB: ratio of the scene's mean squared error with unknown to that with known gain and offset.
 
-    Both errors are those of the model of `deepir.optim.preconditioner`. For white noise and any pattern the cost is
-    `10 log10 (n / (n - 1))` for n frames.
-
-    Args:
-        problem: Its current values are the point of expansion.
-        penalty_factor: Factor on the scene's penalties while the pattern was estimated.
-
-    Returns:
-        The cost; NaN without a Fourier model.
+    Both errors are those of the model of `deepir.optim.preconditioner`, at the current values, with that factor on the
+    scene's penalties while the pattern was estimated. For white noise and any pattern the cost is
+    `10 log10 (n / (n - 1))` for n frames. NaN without a Fourier model.
     """
     found = [variance_spectrum(problem, each, penalty_factor) for each in (problem.closed_form(), ())]
     if any(each is None for each in found):
@@ -283,17 +251,10 @@ def pattern_cost_db(problem: Problem, penalty_factor: float = 1.0) -> float:
 
 @torch.no_grad()
 def uncertainty(problem: Problem, cost: float) -> Maps:
-    """Standard deviations of the estimates, in their units.
+    """Standard deviations of the current estimates, in their units: `scene` (S, 1, H, W), `gain` and `offset` (h, w).
 
-    Scene: noise of the samples, back-projected, times the pattern cost. Gain and offset: posterior given the
+    Scene: noise of the samples, back-projected, times the pattern cost, dB. Gain and offset: posterior given the
     scene, hence slightly too small; left out without a closed form, or if each frame has a scene of its own.
-
-    Args:
-        problem: Its current values are the estimates.
-        cost: Pattern cost, dB.
-
-    Returns:
-        `scene` (S, 1, H, W), `gain` and `offset` (h, w), float32.
     """
     values = problem.values()
     slots = {slot: values[name] for slot, name in problem.slots.items()}

@@ -33,15 +33,9 @@ MAX_REFINEMENT_ITERATIONS = 40
 
 
 def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
-    """Fit the parameters of a point-spread function by maximum likelihood.
+    """Fit the parameters of a point-spread function by maximum likelihood; the negative log-likelihood, nats.
 
-    Args:
-        field: Changed in place; px of the frames.
-        frames: (N, 1, h, w), without the fixed pattern.
-        usable: Samples that count, same shape, bool; the others are filled by the nearest.
-
-    Returns:
-        Negative log-likelihood, nats.
+    From frames (N, 1, h, w) without the fixed pattern. Samples that are not usable are filled by the nearest.
     """
     misfit, trial = _WhittleLikelihood(fill_nearest(frames, usable)), copy.deepcopy(field).double()
     # The likelihood has several optima in the width, so that it is asked at many first, and followed from the best.
@@ -58,12 +52,8 @@ def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:
 def spectral_noise(psf: Tensor, frames: Tensor, usable: Tensor) -> float:
     """Standard deviation of the noise behind a known blur, from the flat part of the spectrum.
 
-    Unlike texture, which resembles noise between pixels, noise does not pass through the blur.
-
-    Args:
-        psf: (1, 1, n, n).
-        frames: (N, 1, h, w), without the fixed pattern.
-        usable: Samples that count, same shape, bool.
+    Unlike texture, which resembles noise between pixels, noise does not pass through the blur. The point-spread
+    function is (1, 1, n, n); frames and usable samples are (N, 1, h, w), without the fixed pattern.
     """
     misfit = _WhittleLikelihood(fill_nearest(frames, usable))
     noise = _minimise(misfit, lambda: misfit.response(psf.double()), [])[1][2]
@@ -128,13 +118,9 @@ def _minimise(
 
 
 def periodogram(frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Periodogram of the periodic component of the frames, which has no steps at the borders.
+    """Periodogram of the periodic component of frames (N, 1, h, w), which has no steps at the borders.
 
-    Args:
-        frames: (N, 1, h, w).
-
-    Returns:
-        Mean power (h, w / 2 + 1), and frequencies along y and x, radians per px; float64.
+    Mean power (h, w / 2 + 1), and frequencies along y and x, radians per px; float64.
 
     Source: Moisan 2011, "Periodic plus smooth image decomposition".
     """

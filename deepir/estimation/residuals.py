@@ -16,14 +16,8 @@ from deepir.problem import Problem
 def fixed_pattern_residual(problem: Problem, average: RegisteredAverage | None = None) -> Tensor:
     """Residual after a scene update that leaves out the fixed-pattern part.
 
-    The present scene may be too smooth: without the update a small bright object leaves a residual in all frames.
-
-    Args:
-        problem: Its current values give the prediction.
-        average: Registered average to reuse; computed if None.
-
-    Returns:
-        Data minus prediction, (N, 1, h, w).
+    The present scene may be too smooth: without the update a small bright object leaves a residual in all frames. Data
+    minus prediction, (N, 1, h, w). The registered average is computed if it is not known.
     """
     values = problem.values()
     rest = problem.data - problem.predict(values)
@@ -42,12 +36,7 @@ def temporal_mean(rest: Tensor, weight: Tensor) -> Tensor:
 
 @torch.no_grad()
 def down_weight_outliers(problem: Problem, rest: Tensor) -> None:
-    """Down-weight samples with a large residual by Cauchy weights; nothing if the noise is known.
-
-    Args:
-        problem: Its precisions are replaced.
-        rest: Residuals, (N, 1, h, w); overwritten.
-    """
+    """Down-weight samples with a large residual (N, 1, h, w) by Cauchy weights; nothing if the noise is known."""
     if problem.noise is not None:
         return
     most = problem.precision.amax()

@@ -48,7 +48,7 @@ Expansion = tuple[float, np.ndarray, np.ndarray]
 
 
 def estimate_sigmas(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, free: list[int]) -> Tensor:
-    """Prior standard deviations of maximum marginal likelihood.
+    """Prior standard deviations (gain, offset) of maximum marginal likelihood, (2,).
 
     Args:
         information: A as (aa, ab, bb), (3, K).
@@ -56,9 +56,6 @@ def estimate_sigmas(information: Tensor, means: Tensor, sigma: Tensor, most: Ten
         sigma: Present standard deviations (gain, offset), (2,).
         most: Upper bounds, (2,).
         free: Which to estimate: 0 gain, 1 offset.
-
-    Returns:
-        Standard deviations (gain, offset), (2,).
     """
     free = [i for i in free if sigma[i] > 0]
     if not free:
@@ -95,12 +92,8 @@ def reference_level_nats(information: Tensor, means: Tensor, sigma: Tensor, leve
     aa, ab, bb, s, t = values
     inliers = _inliers(values, *(sigma.cpu().numpy() ** 2))
     moved = torch.stack((aa - 2 * level * ab + level**2 * bb, ab - level * bb, bb, s - level * t, t))
-    start = np.log(
-        [
-            max(float(sigma[0]), TYPICAL_GAIN_SIGMA / 2),
-            max(float((y + level * x)[inliers].std()), float(sigma[1])),
-        ]
-    )
+    offset = float((y + level * x)[inliers].std())
+    start = np.log([max(float(sigma[0]), TYPICAL_GAIN_SIGMA / 2), max(offset, float(sigma[1]))])
 
     def cost(logarithms: np.ndarray) -> Expansion:
         return _nats(moved, inliers, np.exp(logarithms))
@@ -116,11 +109,8 @@ def _likelihoods(information: Tensor, means: Tensor, sigma: Tensor) -> tuple[Ten
     # So few that a GPU would be no faster.
     (aa, ab, bb), (x, y), sigma = (each.cpu() for each in (information[:, ::step], means[:, ::step], sigma))
     u, v = torch.where(sigma > 0, sigma.square().reciprocal(), 0.0)
-    return (
-        torch.stack((aa, ab, bb, aa * x + ab * y + u * x, ab * x + bb * y + v * y)),
-        torch.stack((x, y)),
-        step,
-    )
+    values = torch.stack((aa, ab, bb, aa * x + ab * y + u * x, ab * x + bb * y + v * y))
+    return values, torch.stack((x, y)), step
 
 
 def _nats(values: Tensor, inliers: Tensor, sigma: np.ndarray) -> Expansion:
@@ -132,10 +122,8 @@ def _nats(values: Tensor, inliers: Tensor, sigma: np.ndarray) -> Expansion:
     parallel_for(negative_log_likelihood, 1, values, inliers, u, v, sums)
     value, *slope, uu, uv, vv = (sums / inliers.sum()).tolist()
     if u > 0:
-        value, slope[0] = (
-            value + GAIN_PRIOR_FRACTION * (math.log(u) + TYPICAL_GAIN_SIGMA**2 / u),
-            slope[0] + GAIN_PRIOR_FRACTION * (u - TYPICAL_GAIN_SIGMA**2) / u**2,
-        )
+        value += GAIN_PRIOR_FRACTION * (math.log(u) + TYPICAL_GAIN_SIGMA**2 / u)
+        slope[0] += GAIN_PRIOR_FRACTION * (u - TYPICAL_GAIN_SIGMA**2) / u**2
         uu += GAIN_PRIOR_FRACTION * (2 * TYPICAL_GAIN_SIGMA**2 - u) / u**3
     by = 2 * np.array((u, v))  # of the variances by the logarithms
     return value, by * slope, by[:, None] * by * ((uu, uv), (uv, vv)) + np.diag(2 * by * slope)
@@ -177,9 +165,7 @@ def _inliers(values: Tensor, u: float, v: float) -> Tensor:
 def high_pass(pattern: Tensor, part: GaussianMap) -> Tensor:
     """High-pass filter that keeps the independent values of a part and its variance, and removes smooth scene.
 
-    Args:
-        pattern: (..., h, w).
-        part: Defines the axes along which to average and to difference.
+    Of a pattern (..., h, w); the part defines the axes along which to average and to difference.
     """
     own = pattern.mean(part.constant_axes, keepdim=True) if part.constant_axes else pattern
     for axis in {-2, -1} - set(part.constant_axes):

@@ -65,17 +65,13 @@ def solve_data_sets(
 
 
 def solve_jointly(
-    problem: JointProblem,
-    recipe: Recipe,
-    config: Config,
-    callbacks: Sequence[Any],
-    checkpoint: Checkpoint | None,
+    problem: JointProblem, recipe: Recipe, config: Config, callbacks: Sequence[Any], checkpoint: Checkpoint | None
 ) -> tuple[Solution, list[str]]:
     """Run the plan of a problem that is started; the solution, and messages on it."""
     stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not has_held_out(problem):
         hold_out(problem, config.seed)
-    messages = network_message(problem, stages)
+    messages = list(network_message(problem, stages))
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
     return solution, messages + recipe.warnings(problem, complete=config.solver.max_iterations is None)
 

@@ -59,18 +59,8 @@ class PriorRefinement:
         follow = (Step(self.follows, "eliminate"),) if self.follows else ()
         steps = (Step(tuple(self.scenes), fit.method, fit.lr, average=fit.average), *follow)
         rounds = [f"prior {i + 1}" for i in range(fit.rounds)] if fit.rounds > 1 else ["prior"]
-        mine = [
-            Stage(
-                name,
-                steps,
-                fit.iterations,
-                prepare=weigh,
-                use_held_out=not stopped,
-                tolerance=self.tolerance,
-                fine=bool(follow),
-            )
-            for name in rounds
-        ]
+        one = Stage("prior", steps, fit.iterations, weigh, not stopped, bool(follow), self.tolerance)
+        mine = [dataclasses.replace(one, name=name) for name in rounds]
         mine[0] = dataclasses.replace(mine[0], change=self.enter)
         if self.follows:
             mine.append(

@@ -48,18 +48,8 @@ def joint(
     checkpoint: Checkpoint | None = None,
 ) -> Result:
     """Fields for all unknowns, fitted together (the default)."""
-    solved = solve_data_sets if config.datasets else solve_burst
-    return solved(burst, config, callbacks=callbacks, checkpoint=checkpoint)
-
-
-def solve_burst(
-    burst: Burst,
-    config: Config,
-    *,
-    callbacks: Sequence[Callable[[Progress], None]] = (),
-    checkpoint: Checkpoint | None = None,
-) -> Result:
-    """The result of one data set."""
+    if config.datasets:
+        return solve_data_sets(burst, config, callbacks=callbacks, checkpoint=checkpoint)
     recipe = make_recipe(config)
     try:
         motion, used, messages = register_frames(burst, config, recipe)
@@ -92,18 +82,14 @@ def solve_burst(
     complete = config.solver.max_iterations is None  # a solve cut short leaves more than drift
     picture = scene_in_pattern_message(problem)
     found = given & ~problem.alive()
-    messages = (
-        (_small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture)
-        + (misfit_message(problem, burst.messages) if complete else [])
-        + region_message(found[None, None])
-    )
+    messages = _small_motion(problem, recipe) + messages + recipe.warnings(problem, complete=complete) + picture
+    messages += (misfit_message(problem, burst.messages) if complete else []) + region_message(found[None, None])
     known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost_db(problem, recipe.sensor_weight)
     result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
     result.metrics |= recipe.metrics(problem)
-    unseen = unseen_scene(
-        problem, geometry, kept if motion is None else dataclasses.replace(kept, bad_pixels=known.bad_pixels)
-    )
+    shown = kept if motion is None else dataclasses.replace(kept, bad_pixels=known.bad_pixels)
+    unseen = unseen_scene(problem, geometry, shown)
     if not recipe.judged:
         return mark_unseen(result, unseen)
     doubt = picture

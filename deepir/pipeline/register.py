@@ -43,13 +43,10 @@ def register_frames(burst: Burst, config: Config, recipe: Recipe) -> tuple[Tenso
     part = longest_shutter_segment(frames, torch.from_numpy(burst.valid & ~burst.bad_pixels))
     found = register(frames[part], model=model, ignore=ignore, valid=valid[part], start=part.start)
     drawn = (frames == frames[0]).all(0)
-    if (
-        _spans(found.motion[found.used], burst.size).max() < MAX_STILL_MOTION
-        and 0 < drawn.double().mean() < MAX_OVERLAY_SHARE
-    ):
+    still = _spans(found.motion[found.used], burst.size).max() < MAX_STILL_MOTION
+    if still and 0 < drawn.double().mean() < MAX_OVERLAY_SHARE:
         # Before a plain scene what the camera draws over its pictures keeps all of them at rest.
-        bad = ignore | drawn
-        found = register(frames[part], model=model, ignore=bad, valid=valid[part], start=part.start)
+        found = register(frames[part], model=model, ignore=ignore | drawn, valid=valid[part], start=part.start)
     if part != slice(0, len(frames)) and _spans(found.motion[found.used], burst.size).max() < MIN_MOTION_SPAN:
         part = slice(0, len(frames))  # a camera that rests here, and there: no shutter
         found = register(frames, model=model, ignore=ignore, valid=valid)
@@ -136,18 +133,15 @@ def _along_a_line(at: Tensor) -> list[str]:
         return []
     shift = steps[0].mean(0)
     if (steps[0] - shift).norm(dim=1).max() > shift.norm():  # some point of the frames rests
-        return [
-            Message(
-                "motion-about-a-point",
-                f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is "
-                "constant around it is hard to separate from the scene. Move the camera too, by 3 to 10 px in x and "
-                "in y",
-            )
-        ]
-    return [
-        Message(
+        message = Message(
+            "motion-about-a-point",
+            f"the frames turn about one point, by {along:.1f} px at their corners, and do not move: what is "
+            "constant around it is hard to separate from the scene. Move the camera too, by 3 to 10 px in x and in y",
+        )
+    else:
+        message = Message(
             "motion-along-a-line",
             f"the frames move along one line, by {along:.1f} px: what is constant along it is hard to separate from "
             "the scene. Move the camera at right angles to it too, by 3 to 10 px",
         )
-    ]
+    return [message]

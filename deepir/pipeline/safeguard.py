@@ -157,12 +157,7 @@ def _doubtful(found: _Candidates, raw: _Candidates, shared: ResidualPattern) -> 
 
 
 def _best(
-    found: _Candidates,
-    free: _Candidates | None,
-    raw: _Candidates,
-    scorer: CorrectionScorer,
-    *,
-    registered: bool,
+    found: _Candidates, free: _Candidates | None, raw: _Candidates, scorer: CorrectionScorer, *, registered: bool
 ) -> Correction:
     """The fine part of the one or the other, or none; with the low-order part of the one or the other, or none."""
     fine = found

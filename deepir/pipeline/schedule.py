@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -68,36 +68,27 @@ def plan(problem: AnyProblem, recipe: Recipe, config: Config) -> list[Stage]:
         where = f"problem '{config.problem}' (or take problem=generic)"
     else:
         where = "solver.plan"
-        stages = [
-            Stage(
-                s.name,
-                tuple(Step(**p.model_dump() | {"group": tuple(p.group)}) for p in s.steps),
-                s.iterations,
-            )
-            for s in given
-        ]
+        steps = [tuple(Step(**p.model_dump() | {"group": tuple(p.group)}) for p in s.steps) for s in given]
+        stages = [Stage(s.name, each, s.iterations) for s, each in zip(given, steps, strict=True)]
     if refinement is not None:
         recipe.sensor_follows = bool(refinement.follows)
         stages = refinement.after(stages, recipe.weigh_prior)
     for stage in stages:
         _check_groups(problem, stage, f"{where}, stage '{stage.name}'")
-    return [dataclasses.replace(s, iterations=min(s.iterations, s.iterations if cap is None else cap)) for s in stages]
+    return [s if cap is None else dataclasses.replace(s, iterations=min(s.iterations, cap)) for s in stages]
 
 
-def network_message(problem: AnyProblem, stages: list[Stage]) -> list[str]:
+def network_message(problem: AnyProblem, stages: list[Stage]) -> Iterator[str]:
     """A line if a network draws the scene and moves by L-BFGS together with the sensor, for lack of `scene.fit`."""
     moved = {name for stage in stages for step in stage.steps if step.method == "lbfgs" for name in step.group}
     scene = next((problem.fields[name] for name in problem.scenes if name in moved), None)
-    if scene is None or not scene.is_network:
-        return []
-    return [
-        Message(
+    if scene is not None and scene.is_network:
+        yield Message(
             "network-without-fit",
             f"scene: '{type(scene).__name__.lower()}' is a network, and moves by L-BFGS together with all others, "
             "which mostly leaves much of the scene's contrast in the gain: fit it once the sensor is known, with "
             "scene.fit.method=adam scene.fit.lr=0.003 scene.fit.iterations=500",
         )
-    ]
 
 
 def _check_groups(problem: AnyProblem, stage: Stage, where: str) -> None:
@@ -138,15 +129,13 @@ def interpolate_missing_motion(motion: Tensor, used: Mask) -> tuple[Tensor, Mask
     return torch.from_numpy(filled).view_as(motion), (at >= known[0]) & (at <= known[-1])
 
 
-def interpolation_message(used: Mask, taken: Mask) -> list[str]:
+def interpolation_message(used: Mask, taken: Mask) -> Iterator[str]:
     """A line for each frame that is taken without being used."""
-    return [
-        Message(
+    for k in np.flatnonzero(taken & ~used):
+        yield Message(
             "frame-interpolated",
             f"frame {k} is bridged: where the camera was then, on which the next frames depend, is interpolated",
         )
-        for k in np.flatnonzero(taken & ~used)
-    ]
 
 
 def given_noise(problem: Problem, config: Config) -> list[str]:
@@ -175,14 +164,9 @@ def given_noise(problem: Problem, config: Config) -> list[str]:
 
 
 def solve_bands(burst: Burst, solve: Callable[[Burst], Result]) -> Result:
-    """The clearest band by itself, then the others with its motion.
+    """The clearest band by itself, then the others with its motion: a result whose arrays have the bands first.
 
-    Args:
-        burst: The first band, with the others in `bands`.
-        solve: Of a burst of one band.
-
-    Returns:
-        A result whose arrays have the bands first, (C, H, W).
+    The burst is that of the first band, with the others in `bands`; `solve` takes a burst of one band.
     """
     bands = [dataclasses.replace(burst, bands=()), *burst.bands]
     lead = int(np.argmax([contrast_to_noise(band) for band in bands]))

@@ -35,10 +35,7 @@ MIN_SIDE = 96  # px of the shorter side of a frame: the step of smaller ones say
 def coarse_to_fine(problem: Problem, recipe: Recipe, seed: int) -> None:
     """Start a problem; from the motion and the moving objects of half resolution if the start asks for another motion.
 
-    Args:
-        problem: It is started, by `recipe.start`.
-        recipe: Its effects are those of the half, too.
-        seed: Of the samples that are held out.
+    By `recipe.start`. The effects of the half are those of the recipe; the seed is of the samples that are held out.
     """
     large = min(problem.data.shape[-2:]) >= MIN_SIDE and problem.saturation is None and not problem.agc
     untouched = {name: tensor.clone() for name, tensor in problem.state_dict().items()} if large else {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import ClassVar
 
@@ -106,9 +107,8 @@ def start_motion(problem: Problem) -> None:
     field = problem.field_of(problem.slot(Warp, "motion"))
     seen = field().double()
     frames = torch.eye(len(seen), dtype=seen.dtype, device=seen.device)
-    field.init_from(
-        torch.linalg.solve(apply_lag(problem, path_of(problem).interpolate(frames)), seen.flatten(1)).view_as(seen)
-    )
+    lag = apply_lag(problem, path_of(problem).interpolate(frames))
+    field.init_from(torch.linalg.solve(lag, seen.flatten(1)).view_as(seen))
 
 
 def path_of(problem: Problem) -> Trajectory:
@@ -117,32 +117,27 @@ def path_of(problem: Problem) -> Trajectory:
 
 
 @torch.no_grad()
-def speed_message(problem: Problem) -> list[str]:
+def speed_message(problem: Problem) -> Iterator[str]:
     """A line if the camera moves by more than a pixel from instant to instant."""
     fastest = float(problem.field_of(problem.slot(Warp, "motion"))()[:, :2, 2].diff(dim=0).norm(dim=1).max())
     if fastest < MAX_MOTION_PER_SUBSTEP * path_of(problem).steps:
-        return []
+        return
     enough = int(fastest / MAX_MOTION_PER_SUBSTEP) + 1
     remedy = (
         f"take physics.lag.substeps={enough}, or move more slowly"
         if enough <= MAX_SUBSTEPS
         else "where it was in between is not known. Move more slowly; if it jumped and stood still, take problem 'nuc'"
     )
-    return [
-        Message(
-            "lag-motion-fast",
-            f"the camera moves by up to {fastest:.1f} px from one frame to the next: {remedy}",
-        )
-    ]
+    yield Message("lag-motion-fast", f"the camera moves by up to {fastest:.1f} px from one frame to the next: {remedy}")
 
 
 @torch.no_grad()
-def start_message(problem: Problem) -> list[str]:
+def start_message(problem: Problem) -> Iterator[str]:
     """A line if the first frame misfits more than the others."""
     misfit = (problem.data - problem.predict(problem.values())).abs().where(problem.precision > 0, torch.nan)
     first, *others = misfit.flatten(1).nanmedian(1).values
     if not first > FIRST_FRAME_MISFIT * torch.stack(others).nanmedian():
-        return []
+        return
     moving = problem.fields[slot_of(problem, "moving")]
     other = int(float(moving().mean()) < HALF_SPEED)
     remedy = (
@@ -151,9 +146,6 @@ def start_message(problem: Problem) -> list[str]:
         if isinstance(moving, Scalar)  # both were tried
         else f"Try physics.lag.moving={other}, or leave the first frames out (data.frames=2:)"
     )
-    return [
-        Message(
-            "lag-first-frame",
-            f"the first frame does not fit the others: what did the camera do before it? {remedy}",
-        )
-    ]
+    yield Message(
+        "lag-first-frame", f"the first frame does not fit the others: what did the camera do before it? {remedy}"
+    )

@@ -47,11 +47,10 @@ class Deconv(Recipe):
         start_precision(problem)
         self.messages += start_psf(problem)
         demand_room(problem)
-        if not problem.closed_form():
-            start_noise(problem)
         if problem.closed_form():
             initial_estimate(problem, self.effects)
         else:
+            start_noise(problem)
             start_scene(problem)
         hold_out(problem, seed, fraction_for_weights(problem))
         weigh_scene(problem, self.sensor_weight)
@@ -69,12 +68,10 @@ class Deconv(Recipe):
             Stage("sensor 2", still, 40, prepare=self.update),
             Stage("sensor 3", (Step(free), *eliminate), 40, prepare=self.update),
         ]
-        stages = [
-            *(sensor if eliminate else [Stage("start", still, 40)]),
-            *self.search.stages(problem),
-            Stage("scene", (Step(("scene",)),) if sharp else still, 120, prepare=self.finish, use_held_out=True),
-        ]
-        return Schedule(stages)
+        start = sensor if eliminate else [Stage("start", still, 40)]
+        scene = (Step(("scene",)),) if sharp else still
+        last = Stage("scene", scene, 120, prepare=self.finish, use_held_out=True)
+        return Schedule([*start, *self.search.stages(problem), last])
 
     def finish(self, problem: Problem) -> None:
         """Hyperparameters, and the scene from its start again."""
@@ -172,10 +169,8 @@ def demand_room(problem: Problem) -> None:
     """Raise `ConfigError` for a point-spread function that its array cuts off."""
     for slot, name in problem.slots.items():
         field = problem.fields[name]
-        if not isinstance(field, PSF):
-            continue
-        radius = field.shape[-1] // 2
-        if cut_off(field):
+        if isinstance(field, PSF) and cut_off(field):
+            radius = field.shape[-1] // 2
             wider = f"physics.{slot.rpartition('.')[0]}.radius={2 * max(radius, 2)}"
             raise ConfigError(
                 f"physics.{slot}: a width of {float(field.width.max()):.3g} px does not fit into a radius of "

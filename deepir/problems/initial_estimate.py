@@ -83,17 +83,15 @@ def subtract_fixed_pattern(problem: Problem, rest: Tensor, taken: Tensor, noise:
     """Subtract the fixed pattern from the scene's start, pattern and scene by turns.
 
     A pattern many times stronger than the scene dominates the average, and no solve recovers from that. Of weaker ones
-    one turn removes most; their low-order part stays in the scene, unless shading is found.
+    one turn removes most; their low-order part stays in the scene, unless shading is found. A `strong` one is iterated
+    until it converges, low-order part included.
 
     Args:
         problem: Its scene is started anew.
-        rest: Residual of the frames, (N, 1, h, w), fixed pattern included.
+        rest: Residual of the frames, (N, 1, h, w), fixed pattern included; the new one is returned.
         taken: The pattern subtracted before, (1, 1, h, w); updated.
         noise: Standard deviation of a sample's noise.
-        strong: Iterate until the pattern converges, low-order part included.
-
-    Returns:
-        The new residual.
+        strong: Whether the pattern is stronger than the scene.
     """
     average = RegisteredAverage(problem, problem.values())
     weight = problem.precision / problem.precision.amax()
@@ -115,10 +113,7 @@ def subtract_fixed_pattern(problem: Problem, rest: Tensor, taken: Tensor, noise:
 def start_scene(problem: Problem, average: RegisteredAverage | None = None, pattern: Tensor | float = 0.0) -> None:
     """Start the scene at the registered average of the frames; unobserved pixels take their nearest neighbour.
 
-    Args:
-        problem: Its scene is set.
-        average: Spares its computation where it is known.
-        pattern: Subtracted from every frame.
+    The pattern is subtracted from every frame. The average is computed if it is not known.
     """
     average = average or RegisteredAverage(problem, problem.values())
     mean = average((problem.data - average.at_zero).sub_(pattern))

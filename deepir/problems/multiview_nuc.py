@@ -9,8 +9,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from deepir.arrays.statistics import noise_in_flat_windows
+from deepir.arrays.windows import median_filter
 from deepir.closed_form.variable_projection import PIXEL
-from deepir.effects.bad_pixels import isolated_pixels
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.fields.sensor_maps import GaussianMap
@@ -30,7 +30,7 @@ SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated on
 #: Share of the low-order part, from none and from all, within which its division is no guess.
 GUESS = 0.1
 CONTRAST_ROUNDS = 3  # of gains of the frames, and of the pattern that they share
-DEFECTIVE = 3.0  # nats of misfit from which a pixel is no sensor
+DEFECTIVE, ISOLATED = 3.0, 1.5  # misfit of a pixel that is no sensor: nats, and times that of its neighbourhood
 
 
 @register("problem", "multiview_nuc")
@@ -66,7 +66,8 @@ class MultiviewNUC(Recipe):
             frames = problem.data[:, 0]
             edges, pattern, low_order = find_pattern(frames, usable, gain, offset)
         misfit = edges.misfit(pattern)
-        usable = usable & ~((misfit > DEFECTIVE) & isolated_pixels(misfit))
+        isolated = misfit > ISOLATED * median_filter(misfit[None, None])[0, 0]
+        usable = usable & ~((misfit > DEFECTIVE) & isolated)
         self.messages += _divide_low_order_part(problem, low_order, offset, usable)
         if problem.noise is not None:
             problem.precision.mul_(usable[:, None])

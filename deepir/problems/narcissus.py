@@ -49,17 +49,10 @@ SCENE_REPEATS = 3  # of the scene's own stage: its curvature changes as the prio
 
 @torch.no_grad()
 def tv_minimising_fit(frame: Tensor, usable: Tensor, field: BasisExpansion) -> Tensor:
-    """Low-order map whose subtraction minimises the total variation of a frame, by reweighted least squares.
+    """Low-order map whose subtraction minimises the total variation of a frame (h, w), by reweighted least squares.
 
-    Edges of the scene have little weight; a slope of the scene is attributed to stray flux.
-
-    Args:
-        frame: (h, w).
-        usable: Pixels that count, (h, w), bool.
-        field: Its basis is used, up to `MAX_STRAY_FREQUENCY`.
-
-    Returns:
-        The map, (h, w), float64.
+    Edges of the scene have little weight; a slope of the scene is attributed to stray flux. The map is float64, in the
+    basis of the field up to `MAX_STRAY_FREQUENCY`.
     """
     one = torch.eye(len(field.values), dtype=frame.dtype, device=frame.device)
     terms = torch.stack([field.synthesise(each) for each in one[field.frequency <= MAX_STRAY_FREQUENCY]])

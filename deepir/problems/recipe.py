@@ -191,14 +191,8 @@ class Generic(Recipe):
 
     several = any_data = True
     effect_names = (
-        "saturation",
-        "bad_pixels",
-        "frame_gain",
-        "frame_offset",
-        "noise",
-        "sensor_pattern",
-        "shading",
-        "outliers",
+        *("saturation", "bad_pixels", "frame_gain", "frame_offset", "noise"),
+        *("sensor_pattern", "shading", "outliers"),
     )
 
     def initialise(self, problem: AnyProblem, seed: int) -> None:

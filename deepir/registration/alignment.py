@@ -24,18 +24,6 @@ MAX_DENSE_PIXELS = 40_000  # px; of larger levels every second pixel along each 
 
 
 @dataclass(frozen=True)
-class RelaxationBounds:
-    """Bounds of Aitken's relaxation factor, in Gauss-Newton steps."""
-
-    min_factor: float = 0.5
-    max_factor: float = 3.0
-    min_denominator: float = 0.3  # of one minus the ratio of successive steps
-
-
-RELAXATION = RelaxationBounds()
-
-
-@dataclass(frozen=True)
 class Alignment:
     """Result of `align`.
 
@@ -76,13 +64,8 @@ def align(level: Level, motion: Tensor, model: str, max_rounds: int) -> Alignmen
     """Refine motions by robust Gauss-Newton steps towards the leave-one-out mean, the pattern subtracted.
 
     If the mean of the frames has more power than that of the warped frames, the pattern dominates. Then it starts at
-    the mean of the frames, and scene is separated from it in some passes.
-
-    Args:
-        level: the frames.
-        motion: `(N, 3, 3)`, initial motions, in centred px of the full frame.
-        model: motion model, a key of `PARAMETERS`.
-        max_rounds: rounds at most.
+    the mean of the frames, and scene is separated from it in some passes. `motion` holds the initial motions
+    `(N, 3, 3)`, `model` is a key of `PARAMETERS`.
     """
     n, size = len(motion), max(level.shape) / 2
     mean, pattern = level.frames.mean(0), torch.zeros_like(level.weight)
@@ -111,23 +94,22 @@ def warp_to_reference(level: Level, pattern: Tensor, motion: Tensor) -> WarpedFr
     return WarpedFrames(frames, known, frames.sum(0), known.sum(0))
 
 
-def aitken_relaxation(relaxation: Tensor, step: Tensor, previous_step: Tensor) -> Tensor:
-    """Relaxation factor of each parameter by Aitken's delta-squared (secant) rule, common to all frames.
+def aitken_relaxation(
+    relaxation: Tensor,
+    step: Tensor,
+    previous_step: Tensor,
+    *,
+    bounds: tuple[float, float] = (0.5, 3.0),
+    min_denominator: float = 0.3,
+) -> Tensor:
+    """New relaxation factors `(P,)` of the parameters by Aitken's delta-squared (secant) rule, common to all frames.
 
     Scene and pattern follow the motions and slow some parameters down. Others would oscillate, since all frames step
-    towards the mean of the others at once.
-
-    Args:
-        relaxation: `(P,)`, the last factors.
-        step: `(N, P)`, Gauss-Newton step.
-        previous_step: `(N, P)`, the one before; zero in the first round.
-
-    Returns:
-        The new factors `(P,)`, between the bounds of `RELAXATION`.
+    towards the mean of the others at once. `step` is the Gauss-Newton step `(N, P)`; the one before is zero in the
+    first round. `min_denominator` bounds one minus the ratio of the two.
     """
     ratio = (step * previous_step).sum(0) / previous_step.square().sum(0).clamp_min(1e-12)
-    denominator = (1 - ratio).clamp_min(RELAXATION.min_denominator)
-    return (relaxation / denominator).clamp(RELAXATION.min_factor, RELAXATION.max_factor)
+    return (relaxation / (1 - ratio).clamp_min(min_denominator)).clamp(*bounds)
 
 
 def estimate_pattern(level: Level, motion: Tensor) -> tuple[Tensor, float]:
@@ -144,19 +126,11 @@ def accept_by_misfit(level: Level, motion: Tensor, reference: Tensor, max_ratio:
 
 
 def update_pattern(level: Level, scene: Tensor, motion: Tensor) -> tuple[Tensor, float]:
-    """Fixed pattern of frames whose scene and motions are given: row and column offsets plus shrunk pixel offsets.
+    """Fixed pattern `(h, w)` of frames whose scene `(h, w)` and motions `(N, 3, 3)` are given, and the misfit.
 
-    The offset of a line is a mean of many pixels. That of a pixel is a mean over few frames: it is shrunk by the
-    fraction of its variance that exceeds the one expected from the residual. Two frames have line offsets only, since
-    with pixel offsets they would fit any motion.
-
-    Args:
-        level: the frames.
-        scene: `(h, w)`, on the grid of the first frame.
-        motion: `(N, 3, 3)`.
-
-    Returns:
-        The pattern `(h, w)` and the misfit.
+    The pattern is row and column offsets plus shrunk pixel offsets. The offset of a line is a mean of many pixels. That
+    of a pixel is a mean over few frames: it is shrunk by the fraction of its variance that exceeds the one expected
+    from the residual. Two frames have line offsets only, since with pixel offsets they would fit any motion.
 
     Source: James and Stein, Estimation with quadratic loss, 4th Berkeley Symposium (1961).
     """
@@ -180,16 +154,9 @@ def update_pattern(level: Level, scene: Tensor, motion: Tensor) -> tuple[Tensor,
 def normal_equations(warped: WarpedFrames, level: Level, model: str) -> Tensor:
     """Normal equations, row by row, of a robust Gauss-Newton step of each frame's motion to the leave-one-out mean.
 
-    Gain and level of each frame are unknown as well: `frame(p) = gain * mean(increment(p)) + level`.
-
-    Args:
-        warped: the frames on the grid of the first.
-        level: their level.
-        model: motion model, a key of `PARAMETERS`.
-
-    Returns:
-        `(rows, N, P + 2, P + 3)`: matrix, of the motion's parameters, gain and level, and right side in the last
-        column.
+    Gain and level of each frame are unknown as well: `frame(p) = gain * mean(increment(p)) + level`. The equations are
+    `(rows, N, P + 2, P + 3)`: the matrix of the motion's parameters, gain and level, and the right side in the last
+    column. `model` is a key of `PARAMETERS`.
     """
     from deepir.kernels import registration as loops
     from deepir.kernels.compile import parallel_for

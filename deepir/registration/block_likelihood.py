@@ -50,12 +50,10 @@ SELECTION = ShiftSelection()
 
 
 def accept_by_blocks(block_ratios: list[float], n_left_out: int = 1, min_nats: float = 0.0) -> bool:
-    """Decide for a motion if the sum of its log-likelihood ratios over all but the best blocks is large enough.
+    """Decide for a motion if the sum of its log-likelihood ratios over all but the best blocks exceeds `min_nats`.
 
-    Args:
-        block_ratios: nats, one per block, against the motion that it would replace.
-        n_left_out: blocks of the largest ratios that do not count, since a moving object may cover them.
-        min_nats: the sum must be larger.
+    The ratios, nats of each block, are against the motion that it would replace. Those of the `n_left_out` best blocks
+    do not count, since a moving object may cover them.
     """
     return sum(block_ratios) - sum(sorted(block_ratios)[-n_left_out:]) > min_nats
 
@@ -64,15 +62,8 @@ def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) 
     """Log-likelihood ratios of two sets of motions, block by block.
 
     A block shifts as its centre does. Its powers are estimated at either motion in turn, and the two ratios are added.
-
-    Args:
-        frames: `(N, h, w)`, variance-stabilised.
-        before: `(N, 3, 3)`, relative to the first, px of these frames.
-        after: `(N, 3, 3)`, likewise.
-        grid: blocks along each axis.
-
-    Returns:
-        Nats, one ratio per block; positive where the motions `after` are more likely.
+    In nats, positive where the motions `after` are more likely. Motions `(N, 3, 3)` are relative to the first of the
+    variance-stabilised frames `(N, h, w)`, in px of these; the grid holds the blocks along each axis.
     """
     ratios = []
     for likelihood, centre in blocks(frames, grid):
@@ -95,14 +86,9 @@ def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.nda
 
 
 def maximise_rotation_likelihood(frames: Tensor, start: Tensor) -> Tensor:
-    """Maximum-likelihood rigid motions, from initial values.
+    """Maximum-likelihood rigid motions `(N, 3, 3)` of variance-stabilised frames `(N, h, w)`, from initial motions.
 
-    Args:
-        frames: `(N, h, w)`, variance-stabilised.
-        start: `(N, 3, 3)`, relative to the first, px of these frames.
-
-    Returns:
-        Rigid motions `(N, 3, 3)`, likewise.
+    Both are relative to the first frame, in px of these frames.
     """
     likelihood = RotationLikelihood(frames)
     angles = likelihood.half_diagonal * nearest_angle(start[1:])
@@ -185,14 +171,8 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
 def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, is_shift: bool) -> list[np.ndarray]:
     """Initial values for the likelihood of shifts: those of least residuals, and the most likely integer shifts.
 
-    Args:
-        frames: `(N, h, w)`, variance-stabilised.
-        residual_shifts: `(N - 1, 2)`, px, of least residuals.
-        is_shift: True if the motions of least residuals are shifts; others are no start. Rotations may be wrong: where
-            the pattern misleads the search, it often finds a rotation.
-
-    Returns:
-        Shifts `(N - 1, 2)`, px, up to two sets.
+    If the motions of least residuals are no shifts, they are no start. Rotations may be wrong: where the pattern
+    misleads the search, it often finds a rotation. Shifts are `(N - 1, 2)`, px; the frames are variance-stabilised.
     """
     starts = [residual_shifts.copy()] if is_shift else []
     if len(frames) > SELECTION.max_integer_frames:
@@ -202,15 +182,10 @@ def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, is_shift: bool) 
 
 
 def likelihood_frames(frames: Tensor, weight: Tensor, side: int = LIKELIHOOD_SIDE) -> tuple[Tensor, int]:
-    """Reduce frames to block means and stabilise the variance of their pattern.
+    """Block means of frames, the variance of their pattern stabilised, and the factor by which they are smaller.
 
-    Args:
-        frames: `(N, H, W)`, not preprocessed.
-        weight: `(H, W)`, zero where a pixel is bad.
-        side: longer side of the result, px, as long as the shorter one keeps `MIN_REDUCED_SIDE`.
-
-    Returns:
-        Frames `(N, h, w)` float64, and the factor by which they are smaller.
+    Of frames `(N, H, W)`, not preprocessed, of weight `(H, W)`. Their longer side is reduced to `side` px, as long as
+    the shorter one keeps `MIN_REDUCED_SIDE`.
     """
     factor = max(1, min(-(-max(weight.shape) // side), min(weight.shape) // MIN_REDUCED_SIDE))
     return variance_stabilise(block_mean(frames.float(), factor), block_mean(weight[None], factor)[0]), factor

@@ -23,6 +23,7 @@ MIN_OVERLAP = 0.15  # of the frame, that other frames must show
 CLEAR_MISFIT_RATIO = 1.5  # ratio of misfits per degree of freedom at which the lower one is clearly lower
 REJECTED_SHARE = 1 / 32  # of many frames, that are rejected at a time
 SELECTION_ROUNDS = 3  # Gauss-Newton rounds of an alignment before frames are rejected
+MIN_SCENE_FRAMES = 3  # beside which frames of a closed shutter are found
 
 
 @dataclass(frozen=True)
@@ -34,30 +35,7 @@ class PanCriteria:
     max_rounds: int = 3  # spanning trees, each with the pattern of the one before
 
 
-@dataclass(frozen=True)
-class RestCriteria:
-    """When frames do not move: misfit per degree of freedom at rest below a multiple of that at the motions found."""
-
-    max_ratio: float = 1.3
-    max_ratio_if_far: float = 4.0  # after large motions, where few frames share a scene point
-    far_shift: float = 0.3  # of the frame; larger shifts are large motions
-
-
-@dataclass(frozen=True)
-class ShutterCriteria:
-    """When frames show a closed shutter: the fixed pattern only. Distances are squared, between frames."""
-
-    min_scene_frames: int = 3
-    max_spread: float = 1.35  # largest over smallest distance from a shutter frame to the scene frames
-    duplicate_distance: float = 0.1  # of the median distance; closer frames are equal up to noise
-    max_misfit_ratio: float = 0.1  # of scene minus shutter frames: misfit at their motions, over that at rest
-    max_static_power: float = 0.06  # of scene minus shutter frames: static share of the mean square
-    min_consistent: float = 0.7  # share of the scene frames that show one scene
-
-
 PAN = PanCriteria()
-REST = RestCriteria()
-SHUTTER = ShutterCriteria()
 
 
 @dataclass(frozen=True)
@@ -78,11 +56,7 @@ def largest_consistent_set(level: Level, model: str) -> FrameSelection:
 
     Two searches compete by misfit: of the frames as they are, and of three or more frames less their temporal median.
     The median contains the whole pattern, but also a scene that does not move; a strong pattern misleads the first.
-    Then rejected frames are searched once more in the mean of the others.
-
-    Args:
-        level: N frames.
-        model: "shift" or "rigid".
+    Then rejected frames are searched once more in the mean of the others. The model is "shift" or "rigid".
     """
     found = []
     for pattern_present in (True, False) if len(level.frames) > 2 else (True,):
@@ -109,12 +83,7 @@ def register_pan(level: Level, selection: FrameSelection, model: str) -> FrameSe
     """Register a panning camera along spanning trees, as long as more frames are found or the misfit is lower.
 
     A correlation is unambiguous for shifts up to half a frame only. So each frame is matched to one that shows much of
-    what it shows.
-
-    Args:
-        level: N frames.
-        selection: as found by matching all frames to one.
-        model: "shift" or "rigid".
+    what it shows. The selection is that found by matching all frames to one; the model is "shift" or "rigid".
     """
     n = len(level.frames)
     known = torch.arange(n) == int(selection.match_score.argmax())
@@ -171,16 +140,8 @@ def reject_frames(level: Level, used: Tensor, motion: Tensor, model: str) -> tup
     """Align frames and reject the one of least concordance, repeatedly, until all of them agree.
 
     One at a time, since a frame of another scene disturbs scene and pattern of the others, too; of many frames a
-    `REJECTED_SHARE`, which bounds the work.
-
-    Args:
-        level: N frames.
-        used: `(N,)` bool, the frames to begin with.
-        motion: `(N, 3, 3)`, initial motions.
-        model: motion model.
-
-    Returns:
-        The frames `(N,)` bool that are left, and their alignment.
+    `REJECTED_SHARE`, which bounds the work. From the frames `used`, `(N,)` bool, and their initial motions `(N, 3, 3)`.
+    Returns the frames that are left, and their alignment.
     """
     used = used.clone()
     while True:
@@ -196,14 +157,8 @@ def concordance(level: Level, pattern: Tensor, motion: Tensor) -> Tensor:
     """Concordance correlation of each frame, less the pattern, with the mean of the others, under Tukey weights.
 
     Unlike a correlation it is low for a frame without a scene, too. Objects that move by themselves have little weight.
-
-    Args:
-        level: N frames.
-        pattern: `(h, w)`.
-        motion: `(N, 3, 3)`.
-
-    Returns:
-        `(N,)` float64, at most one; zero for frames that overlap too little with the others.
+    Of a pattern `(h, w)` and motions `(N, 3, 3)` it is `(N,)` float64, at most one, and zero for frames that overlap
+    too little with the others.
 
     Source: Lin, A concordance correlation coefficient to evaluate reproducibility, Biometrics 45 (1989).
     """
@@ -232,21 +187,35 @@ def exceeds_shift(level: Level, motion: Tensor, fraction: float) -> bool:
     return bool((motion[:, :2, 2].abs() > fraction * torch.tensor(level.shape[::-1])).any())
 
 
-def frames_at_rest(level: Level, alignment: Alignment) -> Tensor:
-    """Frames `(N,)` bool that are equal up to noise; none if the alignment explains them better than rest does."""
+def frames_at_rest(
+    level: Level, alignment: Alignment, *, max_ratios: tuple[float, float] = (1.3, 4.0), far_shift: float = 0.3
+) -> Tensor:
+    """Frames `(N,)` bool that are equal up to noise; none if the alignment explains them better than rest does.
+
+    Their misfit per degree of freedom at rest is below a multiple of that at the motions found. The multiple is larger
+    after motions beyond `far_shift` of the frame, where few frames share a scene point.
+    """
     rest = identity(len(level.frames))
     unchanged = concordance(level, torch.zeros_like(level.weight), rest) >= MIN_CONCORDANCE
     frames = level.frames[unchanged]
     if len(frames) < 3:
         return torch.zeros_like(unchanged)
     misfit = float((frames - frames.mean(0)).square().mean() / frames.square().mean().clamp_min(1e-12))
-    is_far = exceeds_shift(level, alignment.motion, REST.far_shift)
-    ratio = REST.max_ratio_if_far if is_far else REST.max_ratio
+    ratio = max_ratios[exceeds_shift(level, alignment.motion, far_shift)]
     return unchanged & (misfit / (len(frames) - 1) < ratio * misfit_per_dof(alignment))
 
 
-def shutter_frames(level: Level, model: str) -> Tensor:
-    """Find frames of a closed shutter.
+def shutter_frames(
+    level: Level,
+    model: str,
+    *,
+    max_spread: float = 1.35,
+    duplicate_distance: float = 0.1,
+    max_misfit_ratio: float = 0.1,
+    max_static_power: float = 0.06,
+    min_consistent: float = 0.7,
+) -> Tensor:
+    """Frames `(N,)` bool of a closed shutter, which show the fixed pattern only.
 
     All scene frames are equally far from such a frame. After its subtraction they show one scene that moves, and
     nothing static; after the subtraction of a scene frame they would show its scene as static.
@@ -254,18 +223,20 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     Args:
         level: N frames.
         model: motion model.
-
-    Returns:
-        `(N,)` bool, True where a frame shows no scene.
+        max_spread: largest over smallest squared distance from a shutter frame to the scene frames.
+        duplicate_distance: of the median squared distance; closer frames are equal up to noise.
+        max_misfit_ratio: of scene minus shutter frames: misfit at their motions, over that at rest.
+        max_static_power: of scene minus shutter frames: static share of the mean square.
+        min_consistent: share of the scene frames that show one scene.
     """
     images = level.frames.flatten(1)
     none = torch.zeros(len(images), dtype=torch.bool)
     distances = torch.cdist(images, images).square()
     typical = distances[~torch.eye(len(images), dtype=torch.bool)].median()
-    least_spread, scene_frames = SHUTTER.max_spread, none
+    least_spread, scene_frames = max_spread, none
     for distance in distances:
-        different = distance > SHUTTER.duplicate_distance * typical
-        if different.sum() >= SHUTTER.min_scene_frames:
+        different = distance > duplicate_distance * typical
+        if different.sum() >= MIN_SCENE_FRAMES:
             spread = float(distance[different].max() / distance[different].min())
             if spread < least_spread:
                 least_spread, scene_frames = spread, different
@@ -276,8 +247,7 @@ def shutter_frames(level: Level, model: str) -> Tensor:
     motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
     used, alignment = reject_frames(difference, match_score > 1, motion, model)
     _, misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))
-    static_power = SHUTTER.max_static_power * difference.frames.square().mean()
-    is_static = alignment.pattern.square().mean() > static_power
-    is_explained = alignment.misfit < SHUTTER.max_misfit_ratio * misfit_at_rest
-    is_consistent = used.float().mean() > SHUTTER.min_consistent
+    is_static = alignment.pattern.square().mean() > max_static_power * difference.frames.square().mean()
+    is_explained = alignment.misfit < max_misfit_ratio * misfit_at_rest
+    is_consistent = used.float().mean() > min_consistent
     return ~scene_frames if is_consistent and is_explained and not is_static else none

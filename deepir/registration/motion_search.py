@@ -1,8 +1,8 @@
 """Motions of frames that show one scene: coarse search, refinement by residuals, then selection by likelihood.
 
-`estimate_motion` searches on a coarse level (`coarse_search`), aligns on the finest one or two (`align_levels`), and
-replaces shifts (`select_by_blocks`) and rotations (`refine_rotation`) where the likelihood of most blocks of the frame
-prefers others. `select_homography` asks whether rigid motions are enough.
+`coarse_search` searches on a coarse level. `refine` aligns on the finest one or two (`align_levels`), and replaces
+shifts (`select_by_blocks`) and rotations (`refine_rotation`) where the likelihood of most blocks of the frame prefers
+others. `select_homography` asks whether rigid motions are enough.
 """
 
 from __future__ import annotations
@@ -14,11 +14,7 @@ import torch
 from torch import Tensor
 
 from deepir.operators.motion_models import PARAMETERS, relative
-from deepir.registration.alignment import (
-    Alignment,
-    accept_by_misfit,
-    align,
-)
+from deepir.registration.alignment import Alignment, accept_by_misfit, align
 from deepir.registration.block_likelihood import (
     GRID_3X3,
     accept_by_blocks,
@@ -44,33 +40,25 @@ class LevelSettings:
     last_level_rounds: int = 2  # of these, rounds on the last level if a level of half the size precedes it
 
 
-@dataclass(frozen=True)
-class RotationCriteria:
-    """When a rotation that maximises the block-wise likelihood replaces that of least residuals."""
-
-    image_side: int = 100  # px; longer side of the block means on which the likelihood is computed
-    min_frames: int = 4  # with three, noise decides
-    min_side: int = 48  # px; a ninth of a smaller frame holds too few waves
-    n_left_out: int = 3  # of nine blocks, those that gain most: a moving object may cover them
-    min_change: float = 0.4  # px at the corners of the block means; accuracy of the likelihood
-
-
 LEVELS = LevelSettings()
-ROTATION = RotationCriteria()
 MIN_FRAMES = 3  # for homographies
+ROTATION_SIDE = 100  # px; longer side of the block means on which the likelihood of rotations is computed
 
 
 @dataclass(frozen=True)
 class MotionEstimate:
     """Frames of a burst and their motions.
 
-    frames, preprocessed: `(N, H, W)`. coarse_level: the level of the coarse search. match_score: `(N,)`, height of each
-    frame's correlation peak over the detection threshold. used: `(N,)` bool, True for the M frames that show one
-    scene. alignment: of these, on the coarse level. motion: `(M, 3, 3)`, their refined motions, centred px.
+    frames, preprocessed: `(N, H, W)`, zero where the weight is. weight: `(H, W)`, zero where a pixel is bad. model:
+    motion model. coarse_level: the level of the coarse search. match_score: `(N,)`, height of each frame's correlation
+    peak over the detection threshold. used: `(N,)` bool, True for the M frames that show one scene. alignment: of
+    these, on the coarse level. motion: `(M, 3, 3)`, their refined motions, centred px.
     """
 
     frames: Tensor
     preprocessed: Tensor
+    weight: Tensor
+    model: str
     coarse_level: Level
     match_score: Tensor
     used: Tensor
@@ -90,38 +78,26 @@ class MotionEstimate:
         return replace(self, used=used, motion=relative(motion[used]))
 
 
-def estimate_motion(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
-    """Find the frames that show one scene, and their motions.
-
-    Args:
-        frames: `(N, H, W)`.
-        preprocessed: `(N, H, W)`, zero where the weight is zero.
-        weight: `(H, W)`, zero where a pixel is bad.
-        model: motion model.
-    """
-    return refine(coarse_search(frames, preprocessed, weight, model), weight, model)
-
-
 def coarse_search(frames: Tensor, preprocessed: Tensor, weight: Tensor, model: str) -> MotionEstimate:
-    """Find the frames that show one scene, and initial motions, on the coarse level; arguments as `estimate_motion`."""
+    """Find the frames that show one scene, and initial motions, on the coarse level.
+
+    Arguments as the attributes of `MotionEstimate`.
+    """
     level = search_level(preprocessed, weight)
     found = largest_consistent_set(level, "shift" if model == "shift" else "rigid")
-    motion = found.alignment.motion
-    return MotionEstimate(frames, preprocessed, level, found.match_score, found.used, found.alignment, motion)
+    alignment = found.alignment
+    return MotionEstimate(
+        frames, preprocessed, weight, model, level, found.match_score, found.used, alignment, alignment.motion
+    )
 
 
-def refine(estimate: MotionEstimate, weight: Tensor, model: str) -> MotionEstimate:
+def refine(estimate: MotionEstimate) -> MotionEstimate:
     """Refine initial motions: least residuals on fine levels, then shifts and rotations by block-wise likelihood.
 
     Blocks of frames that rotate or stretch do not shift, whatever the motion. So there, shifts that the blocks prefer
     must lower the misfit, too.
-
-    Args:
-        estimate: initial motions.
-        weight: `(H, W)`, zero where a pixel is bad.
-        model: motion model.
     """
-    used = estimate.used
+    used, weight, model = estimate.used, estimate.weight, estimate.model
     if used.sum() < 2:
         return estimate
     kept = slice(None) if used.all() else used  # no copy of all
@@ -136,7 +112,15 @@ def refine(estimate: MotionEstimate, weight: Tensor, model: str) -> MotionEstima
     return replace(estimate, motion=motion)
 
 
-def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
+def refine_rotation(
+    frames: Tensor,
+    weight: Tensor,
+    levels: list[Level],
+    motion: Tensor,
+    *,
+    min_change: float = 0.4,
+    n_left_out: int = 3,
+) -> Tensor:
     """Replace rigid motions by those aligned from the most likely rotations, if the blocks' likelihood accepts them.
 
     Args:
@@ -144,37 +128,32 @@ def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion:
         weight: `(H, W)`, zero where a pixel is bad.
         levels: the same frames, on the final levels.
         motion: `(N, 3, 3)`, of least residuals.
-
-    Returns:
-        Rigid motions `(N, 3, 3)`.
+        min_change: px at the corners of the block means; accuracy of the likelihood.
+        n_left_out: of nine blocks, those that gain most: a moving object may cover them.
     """
     most_likely = most_likely_rotations(frames, weight, motion)
     if most_likely is motion:
         return motion
-    reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
+    reduced, factor = likelihood_frames(frames, weight, ROTATION_SIDE)
     before, start = (change_pixel_size(relative(each), factor) for each in (motion, most_likely))
-    if corner_distance(before, start, reduced) < ROTATION.min_change:
+    if corner_distance(before, start, reduced) < min_change:
         return motion
     refined = align_levels(levels, most_likely, "rigid")
     after = change_pixel_size(relative(refined), factor)
-    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
-    return refined if accept_by_blocks(block_ratios, ROTATION.n_left_out) else motion
+    return refined if accept_by_blocks(block_log_ratios(reduced, before, after, GRID_3X3), n_left_out) else motion
 
 
-def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
-    """Maximum-likelihood rigid motions near given ones.
+def most_likely_rotations(
+    frames: Tensor, weight: Tensor, motion: Tensor, *, min_frames: int = 4, min_side: int = 48
+) -> Tensor:
+    """Maximum-likelihood rigid motions `(N, 3, 3)` of frames `(N, H, W)` of weight `(H, W)`, near given ones.
 
-    Args:
-        frames: `(N, H, W)`.
-        weight: `(H, W)`, zero where a pixel is bad.
-        motion: `(N, 3, 3)`, initial motions.
-
-    Returns:
-        Rigid motions `(N, 3, 3)`; the object `motion` itself if frames are too few or too small.
+    The object `motion` itself if frames are too few or too small: with three, noise decides, and a ninth of a smaller
+    frame holds too few waves.
     """
-    if len(frames) < ROTATION.min_frames or min(weight.shape) < ROTATION.min_side:
+    if len(frames) < min_frames or min(weight.shape) < min_side:
         return motion
-    reduced, factor = likelihood_frames(frames, weight, ROTATION.image_side)
+    reduced, factor = likelihood_frames(frames, weight, ROTATION_SIDE)
     start = change_pixel_size(relative(motion), factor)
     return change_pixel_size(maximise_rotation_likelihood(reduced, start), 1 / factor)
 
@@ -187,10 +166,7 @@ def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
 def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
     """Levels of the alignment after the coarse search: the finest, preceded by one of half its size if finer than that.
 
-    Args:
-        preprocessed: `(N, H, W)`.
-        weight: `(H, W)`, zero where a pixel is bad.
-        coarse_factor: px per px of the coarse level.
+    Of preprocessed frames `(N, H, W)` of weight `(H, W)`. The coarse search had `coarse_factor` px per px of its level.
     """
     last = power_of_two((weight.numel() / LEVELS.max_final_pixels) ** 0.5)
     factors = (2 * last, last) if 2 * last < coarse_factor else (last,)
@@ -215,16 +191,8 @@ def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tens
     """Replace rigid motions by homographies (zoom, tilt, a wide lens that rotates) if the blocks' likelihood accepts.
 
     Homographies always lower the residuals, since scene and pattern adapt. So the decision is that of blocks, each of
-    which has its own likelihood, by Akaike's criterion.
-
-    Args:
-        frames: `(N, H, W)`.
-        weight: `(H, W)`, zero where a pixel is bad.
-        level: the same frames, on the final level.
-        motion: `(N, 3, 3)`, rigid.
-
-    Returns:
-        Motions `(N, 3, 3)`; the object `motion` itself if homographies are not accepted.
+    which has its own likelihood, by Akaike's criterion. The rigid motions `(N, 3, 3)` are those of frames `(N, H, W)`
+    of weight `(H, W)`; `level` holds the same frames on the final level.
     """
     if len(motion) < MIN_FRAMES:
         return motion

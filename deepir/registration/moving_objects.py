@@ -41,89 +41,76 @@ from deepir.registration.robust_score import (
 )
 from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
 
-MIN_VISIBLE_WEIGHT = 0.99  # interpolated weight at which a sample shows the background only
-INPAINTING_PASSES = 3  # alternations of scene and pattern
 
+def moving_object_mask(
+    preprocessed: Tensor,
+    *,
+    window: int = 3,
+    thresholds: tuple[float, float] = (8.0, 16.0),
+    min_thickness: int = 5,
+    margin: int = 4,
+    max_fraction: float = 1 / 3,
+) -> Tensor:
+    """Samples `(N, H, W)`, bool, of moving objects: thick regions of large deviation from the temporal median.
 
-@dataclass(frozen=True)
-class DetectionCriteria:
-    """Which regions of the temporal change are moving objects: hysteresis thresholding, then morphology.
-
-    Lengths are px of frames reduced to a longer side of at most `LIKELIHOOD_SIDE` px.
-    """
-
-    window: int = 3  # px; side of the window over which the change is averaged
-    low_threshold: float = 8.0  # robust standard deviations; all samples of an object exceed it
-    high_threshold: float = 16.0  # robust standard deviations; one sample of an object exceeds it
-    min_thickness: int = 5  # px; thinner regions are edges of a scene that moves
-    margin: int = 4  # px by which regions are dilated
-    max_fraction: float = 1 / 3  # of a frame; where more changes, the frame shows another place
-
-
-DETECTION = DetectionCriteria()
-
-
-def moving_object_mask(preprocessed: Tensor) -> Tensor:
-    """Find samples of moving objects: thick regions of large deviation from the temporal median.
+    By hysteresis thresholding, then morphology. Lengths are px of frames reduced to a longer side of at most
+    `LIKELIHOOD_SIDE` px.
 
     Args:
         preprocessed: `(N, H, W)`.
-
-    Returns:
-        `(N, H, W)` bool, True where an object covers the scene.
+        window: side of the window over which the deviation is averaged.
+        thresholds: robust standard deviations that all samples of an object exceed, and one of them.
+        min_thickness: thinner regions are edges of a scene that moves.
+        margin: by which regions are dilated.
+        max_fraction: of a frame; where more changes, the frame shows another place.
     """
     h, w = preprocessed.shape[1:]
     factor = max(1, -(-max(h, w) // LIKELIHOOD_SIDE))
     reduced = block_mean(preprocessed, factor)
     reduced = reduced - reduced.flatten(1).median(1).values[:, None, None]
     deviation = (reduced - reduced.median(0).values).numpy()
-    change = np.abs(uniform_filter(deviation, (0, DETECTION.window, DETECTION.window)))
+    change = np.abs(uniform_filter(deviation, (0, window, window)))
     sigma = MAD_TO_SIGMA * float(np.median(change))
-    element = np.ones((1, DETECTION.min_thickness, DETECTION.min_thickness))
-    candidates = binary_opening(change > DETECTION.low_threshold * sigma, element)
+    low, high = (change > threshold * sigma for threshold in thresholds)
+    candidates = binary_opening(low, np.ones((1, min_thickness, min_thickness)))
     neighbours = np.arange(27).reshape(3, 3, 3) // 9 == 1  # the eight of a sample, in its own frame
     regions, _ = label(candidates, neighbours)
-    confirmed = np.unique(regions[candidates & (change > DETECTION.high_threshold * sigma)])
-    mask = binary_dilation(np.isin(regions, confirmed), neighbours, iterations=DETECTION.margin)
-    mask &= mask.mean((1, 2), keepdims=True) < DETECTION.max_fraction
+    mask = binary_dilation(np.isin(regions, np.unique(regions[candidates & high])), neighbours, iterations=margin)
+    mask &= mask.mean((1, 2), keepdims=True) < max_fraction
     mask = mask.repeat(factor, 1).repeat(factor, 2)
     padding = (0, 0), (0, h - mask.shape[1]), (0, w - mask.shape[2])
     return torch.from_numpy(np.pad(mask, padding, mode="edge"))
 
 
 def inpaint_mean(frames: Tensor, mask: Tensor, weight: Tensor) -> Tensor:
-    """Replace masked samples by the temporal mean of the others, as if nothing moved.
+    """Replace masked samples of frames `(N, H, W)` by the temporal mean of the others, as if nothing moved.
 
-    Args:
-        frames: `(N, H, W)`; the median of each frame is kept.
-        mask: `(N, H, W)` bool.
-        weight: `(H, W)`, zero where a pixel is bad.
+    The median of each frame is kept. The mask is `(N, H, W)`, bool; the weight `(H, W)`, zero where a pixel is bad.
     """
     levels = frames.flatten(1).median(1).values[:, None, None]
     centred = frames - levels
     return torch.where(mask, _masked_mean(centred, weight * ~mask), centred).add_(levels)
 
 
-def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
-    """Replace masked samples by scene and pattern of the other frames, which are estimated alternately.
+def inpaint_background(
+    frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor, *, passes: int = 3, min_visible: float = 0.99
+) -> Tensor:
+    """Replace masked samples of frames `(N, H, W)` by scene and pattern of the others, at motions `(N, 3, 3)`.
 
-    Where no other frame shows the scene, the temporal mean replaces them.
-
-    Args:
-        frames: `(N, H, W)`; the median of each frame is kept.
-        mask: `(N, H, W)` bool.
-        weight: `(H, W)`, zero where a pixel is bad.
-        motion: `(N, 3, 3)`, centred px.
+    Scene and pattern are estimated alternately. A sample of an interpolated weight above `min_visible` shows the
+    background only. Where no other frame shows the scene, the temporal mean replaces the
+    samples. The median of each frame is kept. The mask is `(N, H, W)`, bool; the weight `(H, W)`, zero where a pixel is
+    bad.
     """
     level = Level(1, frames, weight, bool(weight.all()), (weight.shape[0], weight.shape[1]))
     levels = frames.flatten(1).median(1).values[:, None, None]
     centred, visible, inverse = frames - levels, weight * ~mask, torch.linalg.inv(motion)
     mean = _masked_mean(centred, visible)
     interpolated, known = sample(visible, inverse, level)
-    is_visible = known * (interpolated > MIN_VISIBLE_WEIGHT)
+    is_visible = known * (interpolated > min_visible)
     n_visible = is_visible.sum(0).clamp_min(1)
     pattern = torch.zeros_like(mean)
-    for _ in range(INPAINTING_PASSES):
+    for _ in range(passes):
         scene = (sample(centred - pattern, inverse, level)[0] * is_visible).sum(0) / n_visible
         scene = torch.where(is_visible.any(0), scene, mean - pattern)
         expected, known = sample(scene[None], motion, level)
@@ -163,45 +150,34 @@ FIT = FitCriteria()
 CANDIDATE = CandidateCriteria()
 
 
-def register_beside_moving_objects(
-    estimate: MotionEstimate, weight: Tensor, model: str, missing: Tensor | None = None
-) -> MotionEstimate:
+def register_beside_moving_objects(estimate: MotionEstimate, missing: Tensor | None = None) -> MotionEstimate:
     """Replace the estimate by candidates that discount moving objects, if these explain more of the frames.
 
-    Args:
-        estimate: motions of the frames as they are.
-        weight: `(H, W)`, zero where a pixel is bad.
-        model: motion model.
-        missing: `(N, H, W)` bool, samples without data, treated as covered by an object; finally inpainted.
+    Samples without data, `missing` `(N, H, W)` bool, are treated as covered by an object, and finally inpainted.
     """
-    frames, preprocessed = torch.where(weight > 0, estimate.frames.float(), 0.0), estimate.preprocessed
-    if len(frames) > 2:
-        mask, level = moving_object_mask(preprocessed), estimate.coarse_level
+    burst = estimate
+    if len(burst.frames) > 2:
+        mask = moving_object_mask(burst.preprocessed)
         if missing is not None:
             mask |= missing
-        frames_lost = missing is not None and not estimate.used.all()
-        if mask.any() and (frames_lost or not is_well_explained(estimate, weight)):
-            for proposed in alternative_estimates(estimate, frames, mask, weight, model):
-                motion = reregister_worst_frames(level, proposed.full_motion, model)
+        frames_lost = missing is not None and not burst.used.all()
+        if mask.any() and (frames_lost or not is_well_explained(burst)):
+            level = burst.coarse_level
+            for proposed in alternative_estimates(burst, mask):
+                motion = reregister_worst_frames(level, proposed.full_motion, proposed.model)
                 candidate = proposed.with_motion(motion)
                 gain = log_likelihood_ratio(level, estimate.full_motion, candidate.full_motion)
                 if gain > MIN_CLEAR_GAIN or (
-                    gain > -CANDIDATE.max_loss and is_likelier(estimate, candidate, frames, mask, weight)
+                    gain > -CANDIDATE.max_loss and is_likelier(estimate, candidate, burst.frames, mask)
                 ):
-                    estimate = refine_inpainted(candidate, frames, preprocessed, mask, weight, model)
-    if missing is None:
-        return estimate
-    return refine_inpainted(estimate, frames, preprocessed, missing, weight, model)
+                    estimate = refine_inpainted(candidate, burst, mask)
+    return estimate if missing is None else refine_inpainted(estimate, burst, missing)
 
 
-def is_well_explained(estimate: MotionEstimate, weight: Tensor) -> bool:
+def is_well_explained(estimate: MotionEstimate) -> bool:
     """Whether the motions explain most samples of the frames, or, of many poorly explained ones, most of the power.
 
     Not if all frames but one seem to be at rest: lines missing in that one may have locked the others to the pattern.
-
-    Args:
-        estimate: motions.
-        weight: `(H, W)`, zero where a pixel is bad.
     """
     shifts = estimate.full_motion[estimate.used][:, :2, 2]
     is_resting = (shifts - shifts.median(0).values).norm(dim=1) < FIT.rest_distance
@@ -211,36 +187,28 @@ def is_well_explained(estimate: MotionEstimate, weight: Tensor) -> bool:
     if not FIT.good_nll < nll < FIT.poor_nll:
         return nll <= FIT.good_nll
     # The final level: motions of a few px change it, too.
-    level = final_levels(estimate.preprocessed, weight, estimate.coarse_level.factor)[-1].subset(estimate.used)
+    levels = final_levels(estimate.preprocessed, estimate.weight, estimate.coarse_level.factor)
     rest = identity(len(estimate.motion))
-    return accept_by_misfit(level, estimate.motion, rest, FIT.max_rest_ratio)
+    return accept_by_misfit(levels[-1].subset(estimate.used), estimate.motion, rest, FIT.max_rest_ratio)
 
 
-def alternative_estimates(
-    estimate: MotionEstimate, frames: Tensor, mask: Tensor, weight: Tensor, model: str
-) -> Iterator[MotionEstimate]:
+def alternative_estimates(estimate: MotionEstimate, mask: Tensor) -> Iterator[MotionEstimate]:
     """Propose motions that discount moving objects, if a search that does so differs from the estimate.
 
-    In order: with the objects inpainted by the temporal mean; from the background; of maximum likelihood, from the
-    background.
-
-    Args:
-        estimate: motions of the frames as they are.
-        frames: `(N, H, W)`, zero where a pixel is bad.
-        mask: `(N, H, W)` bool, samples of moving objects.
-        weight: `(H, W)`, zero where a pixel is bad.
-        model: motion model.
+    In order: with the objects, samples of the mask `(N, H, W)` bool, inpainted by the temporal mean; from the
+    background; of maximum likelihood, from the background.
     """
+    frames, weight, model = estimate.frames, estimate.weight, estimate.model
     inpainted, preprocessed = (inpaint_mean(each, mask, weight) for each in (frames, estimate.preprocessed))
     candidate = coarse_search(inpainted, preprocessed, weight, model)
     if any_differs := is_distinct(estimate, candidate):
-        yield refine(candidate, weight, model)
+        yield refine(candidate)
     background = weight * ~mask.any(0)
     if background.mean() > CANDIDATE.min_background:
         candidate = coarse_search(frames, estimate.preprocessed * (background > 0), background, model)
         if is_distinct(estimate, candidate):
             any_differs = True
-            yield refine(candidate, background, model)
+            yield replace(refine(candidate), weight=weight)
         if any_differs and estimate.used.sum() > 2:
             yield replace(estimate, motion=most_likely_motion(frames[estimate.used], background, model))
 
@@ -254,15 +222,9 @@ def is_distinct(estimate: MotionEstimate, other: MotionEstimate) -> bool:
 
 
 def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
-    """Maximum-likelihood shifts, or rigid motions where these are distinct from shifts.
+    """Maximum-likelihood shifts, or rigid motions where these are distinct from shifts, relative to the first frame.
 
-    Args:
-        frames: `(N, H, W)`.
-        weight: `(H, W)`, zero where a pixel is bad.
-        model: motion model; only "rigid" includes rotations.
-
-    Returns:
-        Motions `(N, 3, 3)` relative to the first frame.
+    Motions `(N, 3, 3)` of frames `(N, H, W)` of weight `(H, W)`. Only the model "rigid" includes rotations.
     """
     reduced, factor = likelihood_frames(frames, weight)
     motion = identity(len(reduced))
@@ -273,9 +235,7 @@ def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
     return rigid if corner_distance(motion, rigid, frames) > DISTINCT_DISTANCE else motion
 
 
-def is_likelier(
-    estimate: MotionEstimate, candidate: MotionEstimate, frames: Tensor, mask: Tensor, weight: Tensor
-) -> bool:
+def is_likelier(estimate: MotionEstimate, candidate: MotionEstimate, frames: Tensor, mask: Tensor) -> bool:
     """Whether the block-wise likelihood of the background accepts a candidate, and its misfit is low enough.
 
     If objects sweep too much of the frame, they are inpainted at either's motions in turn, and the log-likelihood
@@ -284,10 +244,10 @@ def is_likelier(
     Args:
         estimate: motions that would be replaced.
         candidate: motions that would replace them.
-        frames: `(N, H, W)`, zero where a pixel is bad.
+        frames: `(N, H, W)`, as they are.
         mask: `(N, H, W)` bool, samples of moving objects.
-        weight: `(H, W)`, zero where a pixel is bad.
     """
+    weight = estimate.weight
     common = estimate.used & candidate.used
     n_before, n_after = int(estimate.used.sum()), int(candidate.used.sum())
     if n_after >= n_before and common.sum() > 2:
@@ -313,26 +273,18 @@ def is_likelier(
             return accept_by_misfit(level, motions[1], motions[0]) or accept_by_misfit(
                 level, motions[1], rest, CANDIDATE.max_rest_ratio
             )
-    return n_after > n_before and is_well_explained(candidate, weight)
+    return n_after > n_before and is_well_explained(candidate)
 
 
-def refine_inpainted(
-    estimate: MotionEstimate, frames: Tensor, preprocessed: Tensor, mask: Tensor, weight: Tensor, model: str
-) -> MotionEstimate:
-    """Inpaint masked samples by the background at the estimated motions, and refine these.
+def refine_inpainted(estimate: MotionEstimate, burst: MotionEstimate, mask: Tensor) -> MotionEstimate:
+    """Inpaint masked samples of a burst's frames by the background at the estimated motions, and refine these.
 
-    Args:
-        estimate: motions.
-        frames: `(N, H, W)`, zero where a pixel is bad.
-        preprocessed: `(N, H, W)`.
-        mask: `(N, H, W)` bool, samples to inpaint.
-        weight: `(H, W)`, zero where a pixel is bad.
-        model: motion model.
+    The frames are those of the estimate `burst`, as they are; the mask is `(N, H, W)` bool.
     """
-    motion = identity(len(frames))
+    weight, motion = burst.weight, identity(len(burst.frames))
     motion[estimate.used] = estimate.motion
-    frames, preprocessed = (inpaint_background(each, mask, weight, motion) for each in (frames, preprocessed))
+    given = burst.frames, burst.preprocessed
+    frames, preprocessed = (inpaint_background(each, mask, weight, motion) for each in given)
     level = search_level(preprocessed, weight)
     alignment = Alignment(estimate.motion, *estimate_pattern(level.subset(estimate.used), estimate.motion))
-    inpainted = replace(estimate, frames=frames, preprocessed=preprocessed, coarse_level=level, alignment=alignment)
-    return refine(inpainted, weight, model)
+    return refine(replace(estimate, frames=frames, preprocessed=preprocessed, coarse_level=level, alignment=alignment))

@@ -19,46 +19,20 @@ from deepir.arrays.windows import median_filter
 
 MIN_RELATIVE_FLUX = 0.05  # of the median; smaller values are raised to it before the logarithm
 MAX_NONPOSITIVE_FRACTION = 0.05  # of the samples; with more, frames are no flux and no logarithm is taken
-STUCK_THRESHOLD = 10.0  # robust standard deviations; pixels of the mean frame beyond are stuck
-STRIPE_WINDOW = 31  # px across the lines; broader structure is no stripe
 LOW_PASS_SIGMA = 0.8  # px of the level; Gaussian low-pass of all frames
 SHADING_SHRINK = 4  # factor by which frames are reduced before shading is estimated
 SHADING_SIGMA = 1.5  # px of the reduced frames; shading and drift are smoother than this Gaussian
 
 
-@dataclass(frozen=True)
-class StabiliserSettings:
-    """How the variance of the pattern is measured as a function of the flux."""
-
-    local_window: int = 7  # px; a pixel's deviation from this window's mean shows its gain and offset
-    n_flux_bins: int = 8  # quantile bins of the pixels, from dark to bright
-    #: Bounds of the asinh scale, root mean squares of the flux; from nearly logarithmic to nearly linear.
-    scale_bounds: tuple[float, float] = (0.05, 50.0)
-
-
-@dataclass(frozen=True)
-class FillSettings:
-    """The window from whose mean a bad pixel is filled."""
-
-    window: int = 5  # px; side of the first one
-    min_good_fraction: float = 0.03  # of its pixels; with fewer, the next one is about twice as wide
-
-
-STABILISER = StabiliserSettings()
-FILLING = FillSettings()
-
-
 def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
-    """Take the logarithm, mask bad and stuck pixels; of fewer than three frames, subtract stripes, too.
+    """Frames `(N, H, W)` float32, zero where the weight is zero, and that weight `(H, W)`, zero or one.
 
-    Three and more frames keep their stripes, as part of the fixed pattern.
+    Takes the logarithm, masks bad and stuck pixels; of fewer than three frames, subtracts stripes, too. Three and more
+    frames keep their stripes, as part of the fixed pattern.
 
     Args:
         frames: `(N, H, W)`, any unit; NaN or infinite where a pixel is bad.
         ignore: `(H, W)` bool, True where a pixel must not be used.
-
-    Returns:
-        Frames `(N, H, W)` float32, zero where the weight is zero, and the weight `(H, W)`, zero or one.
     """
     good = torch.ones(frames.shape[1:], dtype=torch.bool)
     for frame in frames:
@@ -79,9 +53,7 @@ def preprocess(frames: Tensor, ignore: Tensor | None) -> tuple[Tensor, Tensor]:
 def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
     """Logarithm of the frames over their median, so that gains become offsets; minus the median if not positive.
 
-    Args:
-        frames: `(N, H, W)`.
-        good: `(H, W)` bool; other pixels are set to the median.
+    Pixels that are not `good`, `(H, W)` bool, are set to the median.
     """
     values, known = subsample(frames, good.expand_as(frames))
     known_values = values[known]
@@ -97,25 +69,21 @@ def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
     return y
 
 
-def line_pattern(image: Tensor, axis: int) -> Tensor:
+def line_pattern(image: Tensor, axis: int, *, window: int = 31) -> Tensor:
     """Offset of each line along `axis`: median, along it, of the difference from a moving average across the lines.
 
-    Args:
-        image: `(H, W)`.
-        axis: 0 for columns, 1 for rows.
-
-    Returns:
-        The offsets, `(1, W)` or `(H, 1)`.
+    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows. What is broader than the window, px,
+    is no stripe.
     """
-    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), STRIPE_WINDOW, axis=1 - axis, mode="nearest")
+    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), window, axis=1 - axis, mode="nearest")
     return (image - torch.from_numpy(moving_average)).median(axis, keepdim=True).values
 
 
-def stuck_pixels(image: Tensor) -> Tensor:
-    """Pixels `(H, W)` bool that differ from their 3 x 3 median by `STUCK_THRESHOLD` robust standard deviations."""
+def stuck_pixels(image: Tensor, *, threshold: float = 10.0) -> Tensor:
+    """Pixels `(H, W)` bool that differ from their 3 x 3 median by so many robust standard deviations."""
     deviation = (image - median_filter(image[None, None])[0, 0]).abs()
     scale = MAD_TO_SIGMA * float(subsample(deviation[None])[0].median())
-    return deviation > (STUCK_THRESHOLD * scale or torch.inf)
+    return deviation > (threshold * scale or torch.inf)
 
 
 def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
@@ -123,14 +91,7 @@ def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
 
     Gains of variance `a` and offsets of variance `b` are a pattern of variance `a z^2 + b` at flux `z`. In
     `asinh(z / k)`, with `k^2 = b / a`, its variance is constant: a logarithm where gains dominate, linear where offsets
-    do.
-
-    Args:
-        frames: `(N, h, w)`.
-        weight: `(h, w)`; pixels with a weight other than one are filled.
-
-    Returns:
-        Frames `(N, h, w)` float64.
+    do. Pixels with a weight `(h, w)` other than one are filled. The result is float64.
 
     Source: Bartlett, The use of transformations, Biometrics 3 (1947).
     """
@@ -138,50 +99,48 @@ def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
     return (frames / asinh_scale(frames.mean(0).numpy())).asinh()
 
 
-def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
-    """Fill bad pixels with the mean of the good ones in the smallest window that holds enough of them.
+def fill_bad_pixels(frames: Tensor, good: Tensor, *, window: int = 5, min_good_fraction: float = 0.03) -> Tensor:
+    """Fill bad pixels with the mean of the good ones, `(h, w)` bool, in the smallest window that holds enough of them.
 
-    Args:
-        frames: `(N, h, w)`.
-        good: `(h, w)` bool.
-
-    Returns:
-        Frames `(N, h, w)` float64; zero if no pixel is good.
+    The first window is that given; each next one is about twice as wide. Returns frames `(N, h, w)` float64; zero if no
+    pixel is good.
     """
-    filled, unknown, window = torch.where(good, frames.double(), 0.0), ~good, FILLING.window
+    filled, unknown = torch.where(good, frames.double(), 0.0), ~good
     known, fraction = filled.numpy(), good.double().numpy()
     while unknown.any() and good.any():
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
         local_sum = scipy.ndimage.uniform_filter(known, (0, window, window), mode="constant")
-        least = FILLING.min_good_fraction if window < max(good.shape) else 1e-9  # any pixel, but no rounding
+        least = min_good_fraction if window < max(good.shape) else 1e-9  # any pixel, but no rounding
         fillable = unknown & torch.from_numpy(local_fraction > least)
         filled = torch.where(fillable, torch.from_numpy(local_sum / local_fraction.clip(least)), filled)
         unknown, window = unknown & ~fillable, 2 * window + 1
     return filled
 
 
-def asinh_scale(image: np.ndarray) -> float:
+def asinh_scale(
+    image: np.ndarray, *, window: int = 7, n_flux_bins: int = 8, bounds: tuple[float, float] = (0.05, 50.0)
+) -> float:
     """Flux at which gains and offsets contribute equally to the pattern: scale `k` of the asinh transform.
 
     The variance of an image about its local mean is fitted by `a z^2 + b` over bins of the flux `z`, with weights of
-    one over its square, `a` and `b` not negative.
+    one over its square, `a` and `b` not negative. The scale is `sqrt(b / a)`, in units of the image.
 
     Args:
         image: `(h, w)`, the mean of the frames.
-
-    Returns:
-        `sqrt(b / a)`, in units of the image.
+        window: px; a pixel's deviation from this window's mean shows its gain and offset.
+        n_flux_bins: quantile bins of the pixels, from dark to bright.
+        bounds: of the scale, root mean squares of the flux: from nearly logarithmic to nearly linear.
     """
-    local_mean = scipy.ndimage.uniform_filter(image, STABILISER.local_window, mode="nearest")
+    local_mean = scipy.ndimage.uniform_filter(image, window, mode="nearest")
     rms = float(np.sqrt(np.mean(local_mean**2))) or 1.0
-    bins = np.array_split(local_mean.ravel().argsort(), STABILISER.n_flux_bins)
+    bins = np.array_split(local_mean.ravel().argsort(), n_flux_bins)
     flux, deviation = local_mean.ravel() / rms, np.abs(image - local_mean).ravel() / rms
     mean_square = np.array([np.mean(flux[pixels] ** 2) for pixels in bins])
     pattern_power = np.array([np.median(deviation[pixels]) ** 2 for pixels in bins]).clip(1e-20)
     (offset, gain), _ = scipy.optimize.nnls(
-        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(STABILISER.n_flux_bins)
+        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(n_flux_bins)
     )
-    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *STABILISER.scale_bounds))
+    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *bounds))
 
 
 @dataclass(frozen=True)
@@ -230,13 +189,9 @@ class Level:
 
 
 def gaussian_blur(images: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur, zero outside the images.
+    """Gaussian blur of images `(..., h, w)`, zero outside of them, by a standard deviation in px.
 
     The kernel is cut at three sigma. Shifted sums are fast for its few taps.
-
-    Args:
-        images: `(..., h, w)`.
-        sigma: standard deviation, px.
     """
     radius = math.ceil(3 * sigma)
     kernel = [math.exp(-0.5 * (x / sigma) ** 2) for x in range(radius + 1)]
@@ -266,14 +221,10 @@ def block_mean(images: Tensor, factor: int) -> Tensor:
 
 
 def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
-    """Build one level: block means, shading subtracted, low-passed, normalised to root mean square one.
+    """Build one level: block means over `factor` px, shading subtracted, low-passed, of root mean square one.
 
-    The filters are normalised convolutions, which fill isolated bad pixels from their neighbours.
-
-    Args:
-        frames: `(N, H, W)`, preprocessed; zero where the weight is zero.
-        weight: `(H, W)`, zero where a pixel is bad, else one.
-        factor: side of the blocks, px.
+    The filters are normalised convolutions, which fill isolated bad pixels from their neighbours. Of preprocessed
+    frames `(N, H, W)`, zero where the weight `(H, W)` is, which is zero where a pixel is bad, else one.
 
     Source: Knutsson and Westin, Normalized and differential convolution, CVPR 1993.
     """
@@ -293,29 +244,19 @@ def build_level(frames: Tensor, weight: Tensor, factor: int) -> Level:
 
 
 def sample(images: Tensor, motion: Tensor, level: Level) -> tuple[Tensor, Tensor]:
-    """Interpolate images bilinearly at the level's pixels, moved by each motion.
+    """Values `(N, h, w)` of images at the level's pixels, moved by each motion, and where they are known, one or zero.
+
+    By bilinear interpolation; values are zero where unknown.
 
     Args:
         images: `(N, h, w)`, one per motion, or `(1, h, w)`, the same for all motions.
         motion: `(N, 3, 3)`, in centred px of the full frame.
         level: grid and weight of the images.
-
-    Returns:
-        The values `(N, h, w)`, zero where unknown, and where they are known `(N, h, w)`, one or zero.
     """
     from deepir.kernels import registration as loops
     from deepir.kernels.compile import parallel_for
 
     values, known = (torch.empty(len(motion), *level.weight.shape) for _ in range(2))
-    index_motion = level.index_motion(motion)
-    parallel_for(
-        loops.sample_images,
-        len(values[0]),
-        images,
-        level.weight,
-        level.fully_known,
-        index_motion,
-        values,
-        known,
-    )
+    given = images, level.weight, level.fully_known, level.index_motion(motion)
+    parallel_for(loops.sample_images, len(values[0]), *given, values, known)
     return values, known

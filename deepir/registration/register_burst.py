@@ -15,13 +15,13 @@ from deepir.operators.motion_models import AUTO, PARAMETERS, identity, relative
 from deepir.registration.alignment import Alignment, estimate_pattern
 from deepir.registration.frame_selection import (
     MIN_CONCORDANCE,
-    SHUTTER,
+    MIN_SCENE_FRAMES,
     concordance,
     frames_at_rest,
     misfit_per_dof,
     shutter_frames,
 )
-from deepir.registration.motion_search import estimate_motion, final_levels, search_level, select_homography
+from deepir.registration.motion_search import coarse_search, final_levels, refine, search_level, select_homography
 from deepir.registration.moving_objects import inpaint_mean, register_beside_moving_objects
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import accept_by_residuals
@@ -69,7 +69,12 @@ def register(
     Raises:
         DataError: a shape is wrong or the model is unknown.
     """
-    check_arguments(frames, model, ignore)
+    if frames.ndim != 3:
+        raise DataError(f"registration needs frames (N, height, width), not {tuple(frames.shape)}")
+    if model not in (known := [*PARAMETERS, AUTO]):
+        raise DataError(f"motion model '{model}' is not known; {nearest(model, known)}")
+    if ignore is not None and ignore.shape != frames.shape[1:]:
+        raise DataError(f"the bad-pixel mask is {tuple(ignore.shape)}, the frames are {tuple(frames.shape[1:])}")
     frames = frames.detach().cpu()
     if not frames.is_floating_point():
         frames = frames.float()
@@ -82,10 +87,13 @@ def register(
         k: "is the same as the one before it" if earlier == k - 1 else f"is the same as frame {start + earlier}"
         for k, earlier in repeated_frames(frames).items()
     }
-    if n > SHUTTER.min_scene_frames:
-        is_shutter = shutter_frames(search_level(preprocessed, weight), "rigid" if model == AUTO else model)
+    distinct = [k for k in range(n) if k not in excluded]
+    if len(distinct) > MIN_SCENE_FRAMES:
+        level = search_level(preprocessed, weight).subset(torch.tensor(distinct))
+        is_shutter = shutter_frames(level, "rigid" if model == AUTO else model)
         reason = "shows the pattern and no scene, as where a shutter closes"
-        excluded |= dict.fromkeys(is_shutter.nonzero()[:, 0].tolist(), reason)
+        excluded |= {k: reason for k, closed in zip(distinct, is_shutter.tolist(), strict=True) if closed}
+    frames = torch.where(weight > 0, frames.float(), 0.0)
     motion = torch.full((n, 3, 3), torch.nan, dtype=torch.float64)
     confidence = torch.zeros(n, dtype=torch.float64)
     kept = [k for k in range(n) if k not in excluded] if excluded else slice(None)  # no copy of all
@@ -113,8 +121,8 @@ def estimate_burst(
     """Estimate motions, select their model (rest, the model itself, homography), and compute confidences.
 
     Args:
-        frames: `(N, H, W)`.
-        preprocessed: `(N, H, W)`, zero where the weight is zero.
+        frames: `(N, H, W)`, zero where the weight is zero.
+        preprocessed: `(N, H, W)`, likewise.
         weight: `(H, W)`, zero where a pixel is bad.
         model: motion model, or "auto".
         missing: `(N, H, W)` bool, samples without data.
@@ -122,9 +130,8 @@ def estimate_burst(
     Returns:
         Motions `(N, 3, 3)`, NaN where a frame is not used, and confidences `(N,)`, for `make_registration`.
     """
-    searched = "rigid" if model == AUTO else model
-    estimate = estimate_motion(frames, preprocessed, weight, searched)
-    estimate = register_beside_moving_objects(estimate, weight, searched, missing)
+    estimate = refine(coarse_search(frames, preprocessed, weight, "rigid" if model == AUTO else model))
+    estimate = register_beside_moving_objects(estimate, missing)
     level, used, alignment, motion = estimate.coarse_level, estimate.used, estimate.alignment, estimate.motion
     if used.sum() > 1:
         if model == AUTO:
@@ -191,13 +198,3 @@ def make_registration(motion: Tensor, confidence: Tensor, start: int, excluded: 
     motion = torch.where(used[:, None, None], relative(motion, first), torch.nan)
     motion[first] = torch.eye(3, dtype=torch.float64)
     return Registration(motion, confidence, used, messages)
-
-
-def check_arguments(frames: Tensor, model: str, ignore: Tensor | None) -> None:
-    """Raise DataError if the arguments of `register` have wrong shapes or the model is unknown."""
-    if frames.ndim != 3:
-        raise DataError(f"registration needs frames (N, height, width), not {tuple(frames.shape)}")
-    if model not in (known := [*PARAMETERS, AUTO]):
-        raise DataError(f"motion model '{model}' is not known; {nearest(model, known)}")
-    if ignore is not None and ignore.shape != frames.shape[1:]:
-        raise DataError(f"the bad-pixel mask is {tuple(ignore.shape)}, the frames are {tuple(frames.shape[1:])}")

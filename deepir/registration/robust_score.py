@@ -6,8 +6,6 @@ most do not count. So the score compares motions although something moves throug
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
@@ -17,32 +15,7 @@ from deepir.registration.preprocess import Level, sample
 from deepir.registration.shift_likelihood import match_to_reference
 
 MIN_CLEAR_GAIN = 0.08  # nats per sample; motions that gain more are better beyond doubt
-MIN_OTHER_FRAMES = 3  # frames in which another one is searched
-MAX_REREGISTERED = 32  # frames that are searched again, at most: each search takes the time of all frames
-
-
-@dataclass(frozen=True)
-class ScoreSettings:
-    """Heavy-tailed likelihood of the residuals, and its mean over the frame."""
-
-    tail_variance: float = 4.0  # variances; squared scale of the heavy-tailed (Cauchy) likelihood
-    max_residual: float = 10.0  # standard deviations; bound, and value where no other frame predicts a sample
-    min_overlapping: float = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
-    n_trimmed: int = 2  # of nine blocks, left out at either end of the sorted gains
-
-
-@dataclass(frozen=True)
-class MedianSettings:
-    """Alternations of median scene and median pattern."""
-
-    passes: int = 10
-    #: Share of its last change by which the pattern is extrapolated in each pass. With little motion, scene and pattern
-    #: separate slowly; unconverged, too large motions would score best.
-    extrapolation: float = 0.8
-
-
-SCORE = ScoreSettings()
-MEDIANS = MedianSettings()
+MIN_OVERLAPPING = 2.5  # frames, interpolated; a scene point that fewer frames show says nothing
 
 
 def accept_by_residuals(level: Level, before: Tensor, after: Tensor) -> bool:
@@ -50,8 +23,8 @@ def accept_by_residuals(level: Level, before: Tensor, after: Tensor) -> bool:
     return log_likelihood_ratio(level, before, after) >= MIN_CLEAR_GAIN
 
 
-def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
-    """Trimmed mean, over nine blocks of the frame, of the log-likelihood ratio of two sets of motions.
+def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor, *, n_trimmed: int = 2) -> float:
+    """Nats per sample that motions `after` gain over others: trimmed mean over nine blocks of the frame.
 
     The likelihood is heavy-tailed; its scale is that of the better motions. Samples that no other frame shows count as
     unexplained, else motions without overlap would score best. Any motions explain two frames: their ratio is zero.
@@ -60,18 +33,15 @@ def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
         level: N frames.
         before: `(N, 3, 3)`, NaN where a frame is not used.
         after: `(N, 3, 3)`, likewise.
-
-    Returns:
-        Nats per sample, positive where the motions `after` are better.
+        n_trimmed: blocks that are left out at either end of the sorted gains.
     """
-    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < SCORE.min_overlapping:
+    if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < MIN_OVERLAPPING:
         return 0.0
     residuals_before, residuals_after = (absolute_residuals(level, motion) for motion in (before, after))
     sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
     gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
     block_gains = sorted(float(block.mean()) for rows in gain.chunk(3) for block in rows.chunk(3, 1))
-    trimmed = block_gains[SCORE.n_trimmed : -SCORE.n_trimmed]
-    central = trimmed or block_gains  # frames of a few lines have fewer blocks
+    central = block_gains[n_trimmed:-n_trimmed] or block_gains  # frames of a few lines have fewer blocks
     return sum(central) / len(central)
 
 
@@ -87,25 +57,20 @@ def robust_sigma(residual: Tensor) -> float:
     return max(MAD_TO_SIGMA * float(finite.median()), 1e-12) if len(finite) else torch.inf
 
 
-def sample_nll(residual: Tensor, sigma: float) -> Tensor:
+def sample_nll(residual: Tensor, sigma: float, *, bound: float = 10.0, tail_variance: float = 4.0) -> Tensor:
     """Negative log-likelihood of each sample, nats, up to a constant: Cauchy, bounded.
 
-    Args:
-        residual: `(N, h, w)`, magnitudes; infinite where no other frame predicts the sample.
-        sigma: robust standard deviation of the residuals.
+    `residual` are magnitudes `(N, h, w)`, infinite where no other frame predicts the sample; these count as the bound.
+    Bound and squared scale of the tail are in units of their robust standard deviation `sigma`.
     """
-    bounded = (residual / sigma).where(residual.isfinite(), SCORE.max_residual).clamp_max(SCORE.max_residual)
-    return torch.log1p(bounded.square() / SCORE.tail_variance)
+    bounded = (residual / sigma).where(residual.isfinite(), bound).clamp_max(bound)
+    return torch.log1p(bounded.square() / tail_variance)
 
 
 def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
-    """Magnitudes `(N, h, w)` of the frames less scene and pattern of `median_model`.
+    """Magnitudes `(N, h, w)` of frames less scene and pattern of `median_model`, at motions `(N, 3, 3)`.
 
-    Infinite where no other frame predicts a sample, and for frames that are not used.
-
-    Args:
-        level: N frames.
-        motion: `(N, 3, 3)`, NaN where a frame is not used.
+    Infinite where no other frame predicts a sample, and for frames that are not used, whose motion is NaN.
     """
     used = motion.isfinite().all((1, 2))
     residual = torch.full_like(level.frames, torch.inf)
@@ -117,7 +82,9 @@ def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
     return residual
 
 
-def median_model(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def median_model(
+    level: Level, motion: Tensor, *, passes: int = 10, extrapolation: float = 0.8
+) -> tuple[Tensor, Tensor, Tensor]:
     """Scene and pattern at given motions, alternately, as medians over the used frames.
 
     An object that covers a point in few frames is in neither median.
@@ -125,6 +92,9 @@ def median_model(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     Args:
         level: N frames.
         motion: `(N, 3, 3)`, NaN where a frame is not used.
+        passes: alternations of scene and pattern.
+        extrapolation: share of its last change by which the pattern is extrapolated in each pass. With little motion,
+            scene and pattern separate slowly; unconverged, too large motions would score best.
 
     Returns:
         Scene and pattern `(h, w)`, and the samples of the M used frames that other frames show, too, `(M, h, w)` bool.
@@ -135,9 +105,9 @@ def median_model(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     previous = pattern
     visible = sample(level.frames, inverse, level)[1] > 0
     n_visible, _ = sample(visible.sum(0)[None].float(), motion, level)
-    overlapping = (n_visible > SCORE.min_overlapping) & (level.weight > 0)
-    for _ in range(MEDIANS.passes):
-        extrapolated = pattern + MEDIANS.extrapolation * (pattern - previous)
+    overlapping = (n_visible > MIN_OVERLAPPING) & (level.weight > 0)
+    for _ in range(passes):
+        extrapolated = pattern + extrapolation * (pattern - previous)
         scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
         previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))
@@ -151,25 +121,23 @@ def _masked_median(images: Tensor, known: Tensor) -> Tensor:
     return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)
 
 
-def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
+def reregister_worst_frames(
+    level: Level, motion: Tensor, model: str, *, max_frames: int = 32, min_others: int = 3
+) -> Tensor:
     """Search the worst frame again in the median scene of the others, as long as that clearly raises the score.
 
-    Args:
-        level: N frames.
-        motion: `(N, 3, 3)`, NaN where a frame is not used.
-        model: "shift" searches shifts only; any other model searches rotations, too.
-
-    Returns:
-        Motions `(N, 3, 3)`; at most a few differ.
+    Of motions `(N, 3, 3)`, NaN where a frame is not used, at most a few change. The model "shift" searches shifts only,
+    any other model rotations, too. At most `max_frames` are searched again, since each search takes the time of all
+    frames, and each in `min_others` or more.
     """
     used = motion.isfinite().all((1, 2))
-    for _ in range(min(len(motion), MAX_REREGISTERED)):
+    for _ in range(min(len(motion), max_frames)):
         residual = absolute_residuals(level, motion)
         frame_nll = sample_nll(residual, robust_sigma(residual)).mean((1, 2))
         worst = [int(frame_nll.where(used, -torch.inf).argmax())]
         candidate = motion.clone()
         candidate[worst] = torch.nan
-        if candidate.isfinite().all((1, 2)).sum() < MIN_OTHER_FRAMES:
+        if candidate.isfinite().all((1, 2)).sum() < min_others:
             break
         scene, pattern, _ = median_model(level, candidate)
         image = level.frames[worst] - pattern

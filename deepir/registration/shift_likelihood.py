@@ -20,40 +20,23 @@ SEARCH_ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]  # ra
 ROTATION_MARGIN = 1.08
 WHITENING_EXPONENT = 0.7  # 0: cross-correlation, 1: phase correlation
 BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra are correlated
-MAX_REFERENCES = 4  # frames tried as the reference
-MAX_SWEEPS = 4  # sweeps of the integer search over all frames
 
 
-@dataclass(frozen=True)
-class PeakCriteria:
-    """Height of a correlation peak, in standard deviations over all lags, at which two frames match.
-
-    The threshold is `per_root_pixel` times the root of the number of pixels, within these bounds.
-    """
-
-    per_root_pixel: float = 0.12
-    min_threshold: float = 4.5
-    max_threshold: float = 8.0  # frames of other scenes seldom reach it, those of one scene reach 11 and more
+#: Height of a correlation peak, in standard deviations over all lags, at which two frames match: per root of the number
+#: of pixels, and its bounds. Frames of other scenes seldom reach the larger one, those of one scene reach 11 and more.
+PEAK_PER_ROOT_PIXEL, PEAK_BOUNDS = 0.12, (4.5, 8.0)
 
 
-PEAK = PeakCriteria()
+def correlation_search(
+    images: Tensor, level: Level, model: str, pattern_present: bool, *, max_references: int = 4
+) -> tuple[Tensor, Tensor]:
+    """Register all images `(N, h, w)` to the one that most of them match, the first of these.
 
-
-def correlation_search(images: Tensor, level: Level, model: str, pattern_present: bool) -> tuple[Tensor, Tensor]:
-    """Register all images to the one that most of them match, the first of these.
-
-    Args:
-        images: `(N, h, w)`.
-        level: their level.
-        model: "shift" searches shifts only; any other model searches rotations, too.
-        pattern_present: True if the images contain the fixed pattern.
-
-    Returns:
-        Motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`: height of the peak over the detection
-        threshold, infinite for the reference itself.
+    Arguments as `match_to_reference`. Returns motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`:
+    height of the peak over the detection threshold, infinite for the reference itself.
     """
     candidates, found = list(range(len(images))), []
-    for _ in range(MAX_REFERENCES):
+    for _ in range(max_references):
         reference = candidates[0]
         motion, match_score = match_to_reference(images[reference], images, level, model, pattern_present)
         motion[reference], match_score[reference] = torch.eye(3, dtype=torch.float64), math.inf
@@ -95,7 +78,7 @@ def match_to_reference(
         motion[:, :2, 2] = lag.double() * level.factor @ turn[:2, :2].T
         improved = height > best_height * (ROTATION_MARGIN if k else 1.0)
         best_motion[improved], best_height[improved] = motion[improved], height[improved]
-    threshold = float(np.clip(PEAK.per_root_pixel * (h * w) ** 0.5, PEAK.min_threshold, PEAK.max_threshold))
+    threshold = float(np.clip(PEAK_PER_ROOT_PIXEL * (h * w) ** 0.5, *PEAK_BOUNDS))
     return best_motion, best_height.double() / threshold
 
 
@@ -110,13 +93,8 @@ def whitened_correlation(reference: Tensor, spectra: Tensor, pattern_present: bo
     The fixed pattern correlates with itself at lag zero, its lines along the axes; the correlation of a scene is smooth
     there. So with a pattern the lags along both axes are replaced by the mean of their neighbours before whitening.
 
-    Args:
-        reference: `(h, w)`.
-        spectra: `(N, h, w / 2 + 1)`, conjugate spectra of the tapered images.
-        pattern_present: True if the images contain the fixed pattern.
-
-    Returns:
-        Correlation `(N, h, w)`, lag zero at [0, 0].
+    Of a reference `(h, w)` and the conjugate spectra `(N, h, w / 2 + 1)` of the tapered images it is `(N, h, w)`, lag
+    zero at [0, 0].
 
     Source: Knapp and Carter, The generalized correlation method, IEEE Trans. ASSP 24 (1976); phase correlation: Kuglin
     and Hines, IEEE Conf. Cybernetics and Society (1975).
@@ -146,19 +124,7 @@ class WaveSelection:
     min_wavenumber: float = 0.2  # rad per px; integer search: what leaves the frame dominates longer waves
 
 
-@dataclass(frozen=True)
-class AscentSettings:
-    """How far the likelihood is maximised."""
-
-    max_alternations: int = 3  # of shifts and powers
-    converged_shift: float = 0.05  # px; a smaller step ends the alternation of shifts and powers
-    max_lbfgs_steps: int = 20  # L-BFGS steps of the shifts at fixed powers
-    gradient_tolerance: float = 1.0  # nats per px; a smaller gradient ends L-BFGS
-    em_iterations: int = 6  # expectation-maximisation steps of the powers at fixed shifts
-
-
 WAVES = WaveSelection()
-ASCENT = AscentSettings()
 
 
 class Likelihood(Protocol):
@@ -171,36 +137,32 @@ class Likelihood(Protocol):
         """Estimate the powers at parameters `(K, P)` in px."""
 
 
-def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
-    """Maximise a likelihood by L-BFGS in turn with estimates of the powers.
+def maximise(
+    likelihood: Likelihood, parameters: np.ndarray, *, max_alternations: int = 3, converged: float = 0.05
+) -> np.ndarray:
+    """Parameters `(K, P)` of a local maximum of a likelihood, px: by L-BFGS in turn with estimates of the powers.
 
     Args:
         likelihood: its state is changed.
         parameters: `(K, P)`, initial values, px.
-
-    Returns:
-        The parameters `(K, P)` at the local maximum, px.
+        max_alternations: of parameters and powers.
+        converged: px; a smaller step ends them.
     """
-    options = {"maxiter": ASCENT.max_lbfgs_steps, "gtol": ASCENT.gradient_tolerance}
     objective = likelihood.negative_log_likelihood
-    for _ in range(ASCENT.max_alternations):
+    options = {"maxiter": 20, "gtol": 1.0}  # nats per px
+    for _ in range(max_alternations):
         result = minimize(objective, parameters.ravel(), jac=True, method="L-BFGS-B", options=options)
         previous, parameters = parameters, result.x.reshape(parameters.shape)
-        if np.abs(parameters - previous).max() < ASCENT.converged_shift:
+        if np.abs(parameters - previous).max() < converged:
             break
         likelihood.update_powers(parameters)
     return parameters
 
 
 def maximise_shift_likelihood(frames: Tensor, start: np.ndarray) -> np.ndarray:
-    """Maximum-likelihood shifts of frames relative to the first, from initial values.
+    """Maximum-likelihood shifts (x, y) `(N - 1, 2)`, px, of frames relative to the first, from initial shifts.
 
-    Args:
-        frames: `(N, h, w)`, variance-stabilised.
-        start: `(N - 1, 2)`, initial shifts (x, y), px.
-
-    Returns:
-        Shifts `(N - 1, 2)` (x, y), px.
+    The frames `(N, h, w)` are variance-stabilised.
     """
     return maximise(ShiftLikelihood(frames), start)
 
@@ -256,13 +218,13 @@ class ShiftLikelihood:
         negative_log_likelihood(0, rows, *self._kernel_arguments(shifts.reshape(-1, 2)), values, gradient)
         return float(values.sum()), gradient.sum(0)[1:].ravel()
 
-    def update_powers(self, shifts: np.ndarray) -> None:
+    def update_powers(self, shifts: np.ndarray, *, steps: int = 6) -> None:
         """Estimate the powers at shifts `(N - 1, 2)` in px by a few steps of expectation-maximisation."""
         from deepir.kernels.shift_likelihood import expected_powers
 
         n, rows = len(self.real), len(self.y)
         expected, pattern_powers = np.empty((rows, WAVES.n_rings + 1, 2)), np.empty(rows)
-        for _ in range(ASCENT.em_iterations):
+        for _ in range(steps):
             expected_powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
             scene, noise = (expected.sum(0) / np.maximum(self.ring_sizes, 1)[:, None]).T
             self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.noise_floor)[self.ring]
@@ -274,24 +236,18 @@ class ShiftLikelihood:
         return self.real, self.imag, all_shifts, self.y, self.x, self.scene, self.pattern, self.noise
 
 
-def integer_shifts(frames: Tensor) -> np.ndarray:
-    """Most likely integer shifts of frames relative to the first, by coordinate descent over the frames.
+def integer_shifts(frames: Tensor, *, max_sweeps: int = 4) -> np.ndarray:
+    """Most likely integer shifts (x, y) `(N - 1, 2)`, px, of variance-stabilised frames relative to the first.
 
-    Each frame is compared with the placed ones at all shifts d at once. The first harmonic, in the phase `k d`, of the
-    pairwise log-likelihood of each wave is summed over waves by a Fourier transform: a correlation in which scene,
-    pattern and noise have their weights. Powers keep their initial values. At lag zero the pattern matches itself
-    whatever its weight: that lag is excluded.
-
-    Args:
-        frames: `(N, h, w)`, variance-stabilised.
-
-    Returns:
-        Shifts `(N - 1, 2)` (x, y), px, whole numbers.
+    By coordinate descent over the frames. Each frame is compared with the placed ones at all shifts d at once. The
+    first harmonic, in the phase `k d`, of the pairwise log-likelihood of each wave is summed over waves by a Fourier
+    transform: a correlation in which scene, pattern and noise have their weights. Powers keep their initial values. At
+    lag zero the pattern matches itself whatever its weight: that lag is excluded.
     """
     likelihood = ShiftLikelihood(frames)
     h, w = likelihood.size
     shifts, is_placed = np.zeros((len(frames), 2), int), np.arange(len(frames)) == 0
-    for _ in range(MAX_SWEEPS):
+    for _ in range(max_sweeps):
         previous = shifts.copy()
         for k in range(1, len(frames)):
             other_frames = is_placed & (np.arange(len(frames)) != k)
@@ -309,16 +265,8 @@ def first_harmonic(likelihood: ShiftLikelihood, k: int, other_frames: np.ndarray
     """First harmonic, in the phase of each wave, of the pairwise negative log-likelihood of frame k and other frames.
 
     The covariance of two frames has the determinant `p - q cos(k d)`. Its logarithm and its inverse are series in
-    powers of `ratio`.
-
-    Args:
-        likelihood: spectra and powers.
-        k: frame number.
-        other_frames: `(N,)` bool, the frames that it is compared with.
-        all_shifts: `(N, 2)` (x, y), px; those of the other frames are used.
-
-    Returns:
-        `(h, w / 2 + 1)` complex, summed over the other frames; zero for waves that are not used.
+    powers of `ratio`. The harmonic is `(h, w / 2 + 1)` complex, summed over the other frames, `(N,)` bool; zero for
+    waves that are not used. Of all shifts (x, y) `(N, 2)`, px, those of the other frames are used.
     """
     scene, pattern, noise = likelihood.scene, likelihood.pattern, likelihood.noise
     cross = 2 * scene * pattern

@@ -32,14 +32,15 @@ def test_the_least_of_a_parabola_is_found(least, bend):
     assert search(lambda power: bend * (power - least) ** 2) == pytest.approx(least, abs=1e-6)
 
 
-def test_the_scene_is_never_made_too_smooth():
+def test_the_search_ends_at_its_bounds_and_where_all_neighbours_are_worse():
     assert search(lambda power: -power) == MAX_LOG2_WEIGHT
-
-
-def test_the_search_stays_where_all_neighbours_are_worse():
     tried = {-1.0: 2.0, 0.0: 1.0, 1.0: 3.0, 2.0: 4.0, -2.0: 5.0}
     assert next_log2_weight(tried) == 0
     assert -0.5 < best_log2_weight(tried) < 0
+    tried = {0.0: 5.0, -2.0: 4.0, -4.0: 3.0, -6.0: 2.0}
+    assert next_log2_weight(tried) == -8
+    assert next_log2_weight(tried, least=-6.0) == -5
+    assert next_log2_weight({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3
 
 
 def test_a_weight_that_is_given_is_not_searched_for(small_nuc):
@@ -72,13 +73,6 @@ def test_a_search_that_was_interrupted_goes_on_as_if_it_had_not_been(small_nuc, 
     resumed, whole = searched(checkpoint=FileCheckpoint(state)), searched()
     assert whole[:-1].isfinite().all()
     assert torch.equal(resumed.nan_to_num(), whole.nan_to_num())
-
-
-def test_the_search_for_a_weight_ends_at_the_least_that_is_allowed():
-    tried = {0.0: 5.0, -2.0: 4.0, -4.0: 3.0, -6.0: 2.0}
-    assert next_log2_weight(tried) == -8
-    assert next_log2_weight(tried, least=-6.0) == -5
-    assert next_log2_weight({0.0: 5.0, -2.0: 4.0}, least=-3.0) == -3
 
 
 def test_the_noise_of_an_unknown_is_that_of_its_estimate_from_the_data_alone(small_nuc):

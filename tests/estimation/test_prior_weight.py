@@ -100,31 +100,20 @@ def smoothed(faint, penalty=FoE, **options):
     return problem
 
 
-def test_noise_may_be_taken():
-    assert not is_oversmoothed(smoothed(0.0))
-
-
-def test_texture_may_not():
-    assert is_oversmoothed(smoothed(0.7))
-
-
-@pytest.mark.parametrize(("penalty", "options"), [(TV, {}), (FoE, {"weight": 20.0})])
-def test_a_penalty_that_cannot_tell_or_is_given_its_weight_keeps_it(penalty, options):
-    assert not is_oversmoothed(smoothed(0.7, penalty, **options))
-
-
-def test_before_the_misfit_is_known_nothing_is_let_go():
-    problem = smoothed(0.7)
-    problem.reference_misfit.fill_(torch.inf)
-    assert not is_oversmoothed(problem)
-
-
-def test_what_is_let_go_of_has_less_weight():
-    problem = smoothed(0.7)
+@pytest.mark.parametrize(
+    ("faint", "penalty", "options", "reduced"),
+    [(0.0, FoE, {}, False), (0.7, FoE, {}, True), (0.7, TV, {}, False), (0.7, FoE, {"weight": 20.0}, False)],
+    ids=["noise may be taken", "texture may not", "a penalty that cannot tell", "a weight that is given"],
+)
+def test_a_prior_that_has_taken_texture_has_less_weight(faint, penalty, options, reduced):
+    problem = smoothed(faint, penalty, **options)
+    assert is_oversmoothed(problem) is reduced
     (penalty,) = problem.penalties["scene"].values()
     before = float(penalty.weight)
     reduce_weight(problem)
-    assert float(penalty.weight) == pytest.approx(WEIGHT_REDUCTION * before)
+    assert float(penalty.weight) == pytest.approx((WEIGHT_REDUCTION if reduced else 1) * before)
+    problem.reference_misfit.fill_(torch.inf)  # as long as it is not known
+    assert not is_oversmoothed(problem)
 
 
 def test_misfit_is_in_variances_of_the_noise():

@@ -27,15 +27,10 @@ def burst(sigma, noise=1.0, seed=0):
 ONE, MUCH = torch.ones(2, dtype=torch.float64), torch.full((2,), 9.0, dtype=torch.float64)
 
 
-@pytest.mark.parametrize("sigma", [(0.3, 2.0), (3.0, 0.5)])
+@pytest.mark.parametrize("sigma", [(0.3, 2.0), (3.0, 0.5), (1.0, 0.0)])
 def test_strengths_are_found(sigma):
     found = estimate_sigmas(*burst(sigma, noise=0.3), ONE, MUCH, [0, 1])
-    assert found.tolist() == pytest.approx(sigma, rel=0.15)  # a weak prior of gains is in it
-
-
-def test_a_strength_of_nothing_is_next_to_nothing():
-    found = estimate_sigmas(*burst((1.0, 0.0), noise=0.3), ONE, MUCH, [0, 1])
-    assert found[1] < 0.05
+    assert found.tolist() == pytest.approx(sigma, rel=0.15, abs=0.045)  # a weak prior of gains is in it
 
 
 def test_what_is_given_and_what_is_not_there_stay():

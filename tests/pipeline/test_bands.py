@@ -9,14 +9,7 @@ from deepir.errors import DataError
 from deepir.metrics import motion_error
 from deepir.simulate import Settings, simulate
 
-CAMERA = {
-    "n_frames": 4,
-    "shape": (40, 48),
-    "counts": True,
-    "shading": 0.0,
-    "dead_pixels": 0.0,
-    "max_shift": 4.0,
-}
+CAMERA = {"n_frames": 4, "shape": (40, 48), "counts": True, "shading": 0.0, "dead_pixels": 0.0, "max_shift": 4.0}
 QUICK = ("threads=1", "solver.max_iterations=12", "prior=tv")
 
 

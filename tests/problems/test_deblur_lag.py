@@ -17,14 +17,7 @@ from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import procedural
 
 CAMERA = Settings(
-    n_frames=7,
-    shape=(56, 72),
-    motion="shift",
-    max_shift=4.0,
-    tau=10.0,
-    counts=True,
-    shading=0.0,
-    dead_pixels=0.0,
+    n_frames=7, shape=(56, 72), motion="shift", max_shift=4.0, tau=10.0, counts=True, shading=0.0, dead_pixels=0.0
 )
 RUN = {"threads": 1, "physics": {"warp": {"motion": "shift"}}}
 QUICK = RUN | {"solver": {"max_iterations": 2}}

@@ -84,11 +84,6 @@ def test_optical_flow_goes_further_than_the_scenes_texture():
     assert float(error.square().sum(0).sqrt().mean()) < 0.4
 
 
-@pytest.mark.parametrize("prior", ["red", "siren"])
-def test_any_prior_goes_with_it(sim, prior, quick):
-    assert np.isfinite(deepir.run("flow", frames=sim.frames, prior=prior, **QUICK).scene).all()
-
-
 def test_a_flow_is_a_motion_for_other_problems_too(sim):
     flow = {"physics": {"warp": {"motion": {"type": "flow"}}}}
     for problem, method in (("nuc", "joint"), ("generic", "joint"), ("flow", "average")):

@@ -16,11 +16,7 @@ CHAINS = {
     "blur": {"blur": BLUR},
     "blur, then pixels": {"blur": BLUR, "downsample": {"factor": 2}},
     "pixels, then blur": {"downsample": {"factor": 2}, "blur": BLUR},
-    "two blurs": {
-        "lens": BLUR | {"type": "blur"},
-        "downsample": {"factor": 2},
-        "film": BLUR | {"type": "blur"},
-    },
+    "two blurs": {"lens": BLUR | {"type": "blur"}, "downsample": {"factor": 2}, "film": BLUR | {"type": "blur"}},
 }
 
 
@@ -69,13 +65,8 @@ def test_what_is_masked_is_filled_in_and_what_is_blurred_is_sharper(physics, tmp
     mask = rng.random(frame.shape) < 0.3
     np.save(tmp_path / "mask.npy", mask)
     noisy = np.where(mask, 9.0, frame + 0.005 * rng.standard_normal(frame.shape))
-    config = {
-        "physics": physics,
-        "data": {"mask": str(tmp_path / "mask.npy")},
-        "noise": {"read": 0.005},
-        "threads": 1,
-    }
-    found = deepir.run(config, frames=noisy[None])
+    options = {"data": {"mask": str(tmp_path / "mask.npy")}, "noise": {"read": 0.005}, "threads": 1}
+    found = deepir.run({"physics": physics} | options, frames=noisy[None])
 
     def error(scene):
         return np.sqrt(np.mean((scene - truth) ** 2))

@@ -36,18 +36,14 @@ def test_a_plain_scene_bears_a_stronger_prior_than_a_rich_one():
     assert 1.15 * rich < plain < 8
 
 
+KNOWN_GAIN = {"type": "constant", "path": "gain.npy"}
 DARK = procedural(6, (260, 300)) ** 3  # photons are few, and noise little, in half of it
 
 
 @pytest.mark.parametrize(
     ("changes", "seed", "known", "margin"),
     [
-        (
-            {"n_frames": 5, "gain_column": 0.3},
-            15,
-            {"physics": {"sensor": {"gain": {"type": "constant", "path": "gain.npy"}}}},
-            0.2,
-        ),
+        ({"n_frames": 5, "gain_column": 0.3}, 15, {"physics": {"sensor": {"gain": KNOWN_GAIN}}}, 0.2),
         ({"n_frames": 3, "read_noise": 0.002}, 16, {"noise": {"read": 0.002, "photons": 1000.0}}, 1.0),
     ],
 )
@@ -65,16 +61,8 @@ def test_gain_or_noise_that_is_known_is_next_to_no_worse_than_found(
 
 
 def test_a_pattern_many_times_stronger_than_the_scene_is_taken_out():
-    camera = Settings(
-        n_frames=6,
-        shape=(64, 80),
-        counts=True,
-        contrast=300,
-        offset_pixel=6.0,
-        offset_column=4.0,
-        read_noise=0.02,
-        dead_pixels=0.0,
-    )
+    pattern = {"contrast": 300, "offset_pixel": 6.0, "offset_column": 4.0}
+    camera = Settings(n_frames=6, shape=(64, 80), counts=True, read_noise=0.02, dead_pixels=0.0, **pattern)
     sim = simulate(None, camera, seed=4)
     error = deepir.run("nuc", frames=sim.frames, threads=1).scene - sim.truth.scene
     assert np.std(sim.truth.offset) > 5 * sim.settings.contrast
@@ -83,18 +71,8 @@ def test_a_pattern_many_times_stronger_than_the_scene_is_taken_out():
 
 def test_a_plain_scene_before_a_clear_pattern_keeps_its_contrast():
     # What changes in a pixel as the camera moves is small beside the pattern: gains that are too small explain it, too.
-    camera = Settings(
-        n_frames=6,
-        shape=(96, 128),
-        max_shift=4.0,
-        gain_pixel=0.02,
-        gain_column=0.0,
-        offset_pixel=0.1,
-        offset_column=0.05,
-        offset_row=0.05,
-        shading=0.0,
-        read_noise=0.001,
-    )
+    pattern = {"gain_pixel": 0.02, "gain_column": 0.0, "offset_pixel": 0.1, "offset_column": 0.05, "offset_row": 0.05}
+    camera = Settings(n_frames=6, shape=(96, 128), max_shift=4.0, shading=0.0, read_noise=0.001, **pattern)
     sim = simulate(sky(3, (300, 380)), camera, seed=2)
     scene = deepir.run("nuc", frames=sim.frames, threads=1).scene
     gain, _ = np.polyfit(scene.ravel(), sim.truth.scene.ravel(), 1)

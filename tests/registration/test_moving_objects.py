@@ -9,7 +9,7 @@ from registered import TONES, TONES_IN_COUNTS, WALKER, recorded, simulated
 
 from deepir.operators.motion_models import identity
 from deepir.registration import moving_objects
-from deepir.registration.motion_search import estimate_motion
+from deepir.registration.motion_search import coarse_search, refine
 from deepir.registration.moving_objects import inpaint_background, inpaint_mean, moving_object_mask
 from deepir.registration.preprocess import preprocess
 
@@ -46,21 +46,21 @@ def test_an_object_is_inpainted_by_the_background():
 def test_frames_that_are_well_explained_are_not_placed_again(monkeypatch):
     monkeypatch.setattr(moving_objects, "coarse_search", None)
     frames = simulated("astronaut")[0]
-    one = estimate_motion(frames, *preprocess(frames, None), "rigid")
-    assert moving_objects.register_beside_moving_objects(one, torch.ones(frames.shape[1:]), "rigid") is one
+    one = refine(coarse_search(frames, *preprocess(frames, None), "rigid"))
+    assert moving_objects.register_beside_moving_objects(one) is one
 
 
 def test_bright_things_in_a_dark_scene_are_no_moving_objects_if_one_motion_explains_all(monkeypatch):
     _, frames = recorded("camera", 10, gain_column=0.1, **TONES)
     flat, weight = preprocess(frames, None)
-    one = estimate_motion(frames, flat, weight, "rigid")
+    one = refine(coarse_search(frames, flat, weight, "rigid"))
     assert moving_object_mask(flat).any()
     with monkeypatch.context() as patch:
         patch.setattr(moving_objects, "coarse_search", None)
-        assert moving_objects.register_beside_moving_objects(one, weight, "rigid") is one
+        assert moving_objects.register_beside_moving_objects(one) is one
     still = dataclasses.replace(one, motion=identity(len(frames)))
-    assert moving_objects.is_well_explained(one, weight)
-    assert not moving_objects.is_well_explained(still, weight)
+    assert moving_objects.is_well_explained(one)
+    assert not moving_objects.is_well_explained(still)
 
 
 def test_at_rest_the_background_is_the_mean_of_the_other_frames():
