@@ -329,8 +329,8 @@ def _unwrapped(pieces: Iterable[Array], source: str) -> Iterator[Array]:
     whole: type[np.generic] | None = None
     for piece in pieces:
         if whole is None:
-            parts = [piece, *piece] if piece.ndim == 3 else [piece]
-            whole = next((found for each in parts if (found := wrapped_type(each)) is not None), None)
+            frames = piece if piece.ndim == 3 else piece[None]
+            whole = next((found for each in frames if (found := wrapped_type(each)) is not None), None)
             if whole is not None:
                 before, after = ("above 32767", "negative") if whole is np.uint16 else ("below zero", "large")
                 warn_once(f"{source}: counts {before} are stored as {after} ones; they are read as they were")

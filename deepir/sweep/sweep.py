@@ -16,6 +16,7 @@ from deepir.storage.folder import Record, locked_folder, remove_temporaries
 from deepir.sweep import table
 from deepir.sweep.cells import SWEEP_FILES, Axis, Cell, check_cells, check_inputs, make_cells
 from deepir.sweep.paper import write_paper
+from deepir.sweep.table import write_text
 
 
 @dataclass
@@ -45,8 +46,8 @@ class Sweep:
     def write(self, title: str, *, paper: bool = False) -> list[table.Row]:
         """Write `table.csv`, `table.md`, `quality.png` and `report.html`, and those of a paper; the rows."""
         found = table.make_rows(self.cells, self.errors)
-        table.write_text(self.folder / "table.md", table.markdown(found, title))
-        table.write_text(self.folder / "table.csv", table.csv_table(found))
+        write_text(self.folder / "table.md", table.markdown(found, title))
+        write_text(self.folder / "table.csv", table.csv_table(found))
         table.write_plots(self.folder / "quality.png", found)
         table.write_report(self.folder / "report.html", found, title)
         if paper:
