@@ -39,7 +39,8 @@ def wait_for(name: str) -> bool:
         return False
     done = _done(os.getpid())
     if name not in done and (lines := _list_with(name)):
-        log.warning("compiling kernels for this machine, once: 5 to 15 s")
+        if not done:
+            log.warning("compiling kernels for this machine, once: 5 to 15 s")
         lines = [each for each in lines if _name(each) not in done]
         done.update((_name(each), threading.Event()) for each in lines)
         for share in _shares(lines, min(max(os.cpu_count() or 1, 2), MAX_PROCESSES)):
