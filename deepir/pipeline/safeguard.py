@@ -35,6 +35,8 @@ OWN_PAIRS, GAPS = 4, (1, 2)
 #: Frames below which no pattern is estimated without registration.
 MIN_FRAMES = 4
 UNREGISTERED = "an offset that is estimated without registration, and no gain"
+#: Messages on what only the estimate has that is given up.
+OF_ESTIMATE = ("moving-object", "still-region", "unseen-pixels", "pattern-cost")
 
 
 @dataclass(frozen=True)
@@ -240,5 +242,5 @@ def _replaced(result: Result, burst: Burst, gain: Array, offset: Array, message:
         offset=offset.astype(np.float32),
         metrics=result.metrics,
         history=result.history,
-        messages=[message, *result.messages],
+        messages=[message, *(each for each in result.messages if getattr(each, "name", "") not in OF_ESTIMATE)],
     )

@@ -9,6 +9,7 @@ from skimage import data
 
 from deepir.burst import Burst
 from deepir.errors import DataError
+from deepir.messages import Message
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.result import neutral
 from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
@@ -49,9 +50,12 @@ def test_a_good_correction_stays(drive, beside):
 def test_a_false_slope_is_taken_out(drive, beside):
     frames = drive + STRIPES
     slope = np.linspace(-300, 300, SIZE[0])[:, None]
-    kept = safeguarded(result(frames, STRIPES + slope), burst(frames, beside=beside), registered=True)
+    given_up = result(frames, STRIPES + slope)
+    given_up.messages = [Message("still-region", "of what is given up"), Message("level-drift", "of the frames")]
+    kept = safeguarded(given_up, burst(frames, beside=beside), registered=True)
     assert np.corrcoef(kept.offset.ravel(), np.broadcast_to(STRIPES, SIZE).ravel())[0, 1] > 0.8
     assert "uncorrected frames" in kept.messages[0]
+    assert kept.messages[1:] == ["of the frames"]
 
 
 @pytest.mark.parametrize("beside", [True, False])
