@@ -22,6 +22,7 @@ from deepir.config.schema import Fit
 from deepir.estimation.prior_weight import is_oversmoothed, reduce_weight, weigh_scene
 from deepir.fields.base import Pixels
 from deepir.joint_problem import AnyProblem
+from deepir.metrics import RegisteredAverage
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
@@ -82,25 +83,15 @@ def registered_average(problem: Problem) -> Tensor:
     """The scene that the samples show that are not held out, without a prior; all other unknowns as they are.
 
     The first round averages what the frames show, which the spline blurs; the others give back what is missing
-    (Landweber 1951).
+    (Landweber 1951). The scene as it is where the operator has no average.
     """
     values: Any = problem.values()
-    seen = (problem.fitted() > 0).to(problem.data)
-    shape = tuple(values["scene"].shape)
-    slots = {slot: values[name] for slot, name in problem.slots.items()}
-
-    def shown(scene: Tensor) -> Tensor:
-        return problem.predict({**values, "scene": scene})
-
-    def back(frames: Tensor) -> Tensor:
-        return problem.operator.adjoint((seen * frames).sum_to_size(dark.shape), shape, **slots)
-
-    scene = torch.zeros_like(values["scene"])
-    dark = shown(scene)
-    weight = back(shown(torch.ones_like(scene)) - dark)
-    least = 0.3 * float(weight.max())
-    weight, known = weight.clamp(min=least), weight > least
-    scene = fill_nearest(back(problem.data - dark) / weight, known)
+    average = RegisteredAverage(problem, values, (problem.fitted() > 0).to(problem.data))
+    if average.sums_cancel:
+        return problem.fields["scene"]()
+    least = 0.3 * float(average.weight.max())
+    weight, known = average.weight.clamp(min=least), average.weight > least
+    scene = fill_nearest(average.backproject(problem.data - average.at_zero) / weight, known)
     for _ in range(LANDWEBER_ITERATIONS):
-        scene = scene + back(problem.data - shown(scene)) / weight
+        scene = scene + average.backproject(problem.data - problem.predict({**values, "scene": scene})) / weight
     return scene

@@ -73,3 +73,16 @@ def test_what_is_masked_is_filled_in_and_what_is_blurred_is_sharper(physics, tmp
 
     assert found.scene.shape == truth.shape
     assert error(found.scene) < 0.95 * error(np.kron(frame, np.ones((2, 2))))  # even of all of the frame
+
+
+@pytest.mark.parametrize("prior", ["dip", "deep_decoder"])
+def test_a_network_starts_at_the_scale_of_a_scene_that_is_seen_by_signed_sums(prior, tmp_path):
+    rng, truth = np.random.default_rng(0), procedural(1, (16, 16))
+    matrix = rng.choice([-1, 1], (100, 256)) / 16
+    np.save(tmp_path / "matrix.npy", matrix.astype(np.float32))
+    given = {"type": "constant", "path": str(tmp_path / "matrix.npy")}
+    physics = {"matrix": {"height": 16, "width": 16, "rows": 100, "matrix": given}}
+    frame = (matrix @ truth.ravel()).astype(np.float32)[:, None]
+    settings = {"prior": prior, "physics": physics, "noise": {"read": 0.01}, "solver": {"max_iterations": 60}}
+    found = deepir.run(settings, frames=frame)
+    assert np.abs(found.scene - truth).max() < 2 * np.ptp(truth)
