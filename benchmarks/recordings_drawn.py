@@ -46,14 +46,11 @@ def load(family: str, name: str, seed: int) -> Case:
         limit["limit"] = drawn().score(without, frames, truth)["low"]
 
     def judge(corrected: np.ndarray, correction: Correction) -> Figures:
-        if correction.offset is None:
-            error = mean_error(corrected, truth["scene"], truth.get("gain"))
-        else:
-            error = correction.offset - truth["pattern"]
+        error = mean_error(corrected, truth["scene"], truth.get("gain"))
         return (
             drawn().score(corrected, frames, truth)
             | limit
-            | covered(error, correction.deviation)
+            | covered(correction.error(truth["pattern"], error), correction.deviation)
             | bad_pixels(correction.bad_pixels, no_bad)
         )
 

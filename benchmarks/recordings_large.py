@@ -51,7 +51,7 @@ def load(family: str, name: str, seed: int) -> Case:
             **left_over(error - error.mean(), pattern),
             "likeness": likeness(corrected, scenes, whole),
             "raw likeness": likeness(frames[::STRIDE], scenes, whole),
-            **covered(error if correction.offset is None else correction.offset - pattern, correction.deviation),
+            **covered(correction.error(pattern, error), correction.deviation),
             **bad_pixels(correction.bad_pixels, ~whole),
         }
 

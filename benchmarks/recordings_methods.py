@@ -40,6 +40,10 @@ class Correction:
     kept: str = ""
     maps: tuple[Array | float, Array] | None = None
 
+    def error(self, pattern: Array, of_frames: Array) -> Array:
+        """Error (h, w) of that for which the deviation is stated; `of_frames` is the mean one of corrected frames."""
+        return of_frames if self.offset is None else self.offset - pattern
+
 
 Method = Callable[[Array, int], Correction]  # of frames, and the frames between two of a burst of one scene
 

@@ -17,8 +17,7 @@ Array = np.ndarray[Any, Any]
 class RegisteredAverage:
     """Weighted average of frames on the grid of the scene, `A' W (y - b) / A' W A 1` for the model `y = A x + b`.
 
-    Terms that depend on A and W alone are computed once. Of an operator whose sums cancel, as of a coded aperture of
-    both signs, there is no average: instead of it a step of steepest descent from zero is taken.
+    Terms that depend on A and W alone are computed once.
 
     Args:
         problem: Its operator and data.
@@ -29,7 +28,7 @@ class RegisteredAverage:
     def __init__(self, problem: Problem, values: Values, weights: Tensor | None = None) -> None:
         zero = torch.zeros_like(values["scene"])
         unit = problem.precision.amax().clamp(min=1e-30) if weights is None else 1
-        self._problem, self._values, self._shape = problem, values, tuple(zero.shape)
+        self._problem, self._shape = problem, tuple(zero.shape)
         self._slots = {slot: values[name] for slot, name in problem.slots.items() if name in values}
         self._weights = (problem.precision if weights is None else weights) / unit
         #: Prediction for a zero scene, b.
@@ -37,18 +36,10 @@ class RegisteredAverage:
         ones = problem.predict(values | {"scene": zero + 1}) - self.at_zero
         #: Sum of the weights at each pixel of the scene, in frames, (S, C, H, W).
         self.weight = self.backproject(ones)
-        #: Whether there is no average; of interpolation, negative sums are small.
-        self.sums_cancel = bool(self.weight.min() < -0.1 * self.weight.max())
-        if self.sums_cancel:
-            self.weight = torch.ones_like(self.weight)
 
     def __call__(self, frames: Tensor) -> Tensor:
         """The average of frames (N, C, h, w), such as `y - b`, (S, C, H, W)."""
-        descent = self.backproject(frames)
-        if not self.sums_cancel:
-            return descent / self.weight.clamp(min=1e-6)
-        seen = self._problem.predict(self._values | {"scene": descent}) - self.at_zero
-        return descent * (descent.square().sum() / (self._weights * seen.square()).sum().clamp(min=1e-30))
+        return self.backproject(frames) / self.weight.clamp(min=1e-6)
 
     def backproject(self, frames: Tensor) -> Tensor:
         """`A' W` of frames (N, C, h, w), (S, C, H, W)."""

@@ -83,15 +83,18 @@ def registered_average(problem: Problem) -> Tensor:
     """The scene that the samples show that are not held out, without a prior; all other unknowns as they are.
 
     The first round averages what the frames show, which the spline blurs; the others give back what is missing
-    (Landweber 1951). The scene as it is where the operator has no average.
+    (Landweber 1951). That converges where an operator's sums do not cancel, as those of a coded aperture of both signs
+    do: else the scene stays as it is.
     """
     values: Any = problem.values()
-    average = RegisteredAverage(problem, values, (problem.fitted() > 0).to(problem.data))
-    if average.sums_cancel:
-        return problem.fields["scene"]()
+    seen = (problem.fitted() > 0).to(problem.data)
+    average = RegisteredAverage(problem, values, seen)
+    shown = residual = problem.data - average.at_zero
     least = 0.3 * float(average.weight.max())
     weight, known = average.weight.clamp(min=least), average.weight > least
-    scene = fill_nearest(average.backproject(problem.data - average.at_zero) / weight, known)
+    scene = fill_nearest(average.backproject(shown) / weight, known)
     for _ in range(LANDWEBER_ITERATIONS):
-        scene = scene + average.backproject(problem.data - problem.predict({**values, "scene": scene})) / weight
-    return scene
+        residual = problem.data - problem.predict({**values, "scene": scene})
+        scene = scene + average.backproject(residual) / weight
+    converges = (seen * residual.square()).sum() <= (seen * shown.square()).sum()
+    return scene if converges else problem.fields["scene"]()

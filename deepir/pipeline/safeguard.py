@@ -36,7 +36,7 @@ OWN_PAIRS, GAPS = 4, (1, 2)
 MIN_FRAMES = 4
 UNREGISTERED = "an offset that is estimated without registration, and no gain"
 #: Messages on what only the estimate has that is given up.
-OF_ESTIMATE = ("moving-object", "still-region", "unseen-pixels", "pattern-cost")
+OF_ESTIMATE = ("moving-object", "still-region", "pattern-cost")
 
 
 @dataclass(frozen=True)

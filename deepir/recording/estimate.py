@@ -200,10 +200,11 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         return None
     burst, numbers, shared = found
     solution = solve_sensor(burst, shared)
-    if unsure := solution.motion_error > MAX_MOTION_ERROR:  # at rest, all of the scene may pass for the pattern
-        _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+    unsure = solution.motion_error > MAX_MOTION_ERROR
     if _misfit(burst, solution) > (MIN_MISFIT if unsure else MAX_MISFIT):
         return None
+    if unsure:  # at rest, all of the scene may pass for the pattern
+        _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
