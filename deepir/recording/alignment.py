@@ -209,19 +209,19 @@ class Links:
 
 
 def turned(shift: Array, curvature: float, half: float) -> Array:
-    """The homography (3, 3) of a camera that turns so that its centre moves by `shift` (x, y), px.
+    """The homography (3, 3) of a camera that turns so that the middle of what both frames show moves by `shift`, px.
 
     Args:
-        shift: px.
+        shift: (x, y), px, from half of it on the one side of the frame's centre to half of it on the other.
         curvature: squared tangent of half the field of view along the longer side; 0: of a far camera, a shift.
         half: half the longer side, px.
     """
     if curvature == 0:
         return np.array([[1.0, 0, shift[0]], [0, 1, shift[1]], [0, 0, 1]])
     focal = half / curvature**0.5
-    towards = np.array([shift[0], shift[1], focal]) / np.hypot(np.hypot(*shift), focal)
-    across = np.array([[0, 0, towards[0]], [0, 0, towards[1]], [-towards[0], -towards[1], 0]])
-    turn = np.eye(3) + across + across @ across / (1 + towards[2])
+    tangent = shift / (2 * focal)  # of half the angle
+    across = np.array([[0, 0, tangent[0]], [0, 0, tangent[1]], [-tangent[0], -tangent[1], 0]])
+    turn = np.eye(3) + 2 / (1 + tangent @ tangent) * (across + across @ across)
     scale = np.diag([focal, focal, 1.0])
     return np.asarray(scale @ turn @ np.linalg.inv(scale))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ from deepir.recording.modes import (
     NormalEquations,
     block_sums,
     dct,
-    group_power,
+    directional_power,
     low_order_equations,
     mode_radius,
 )
@@ -55,9 +55,7 @@ MIN_LIKENESS = 0.4  # correlation with the frames that it is registered to, of a
 MAX_REACH = 0.5  # of the sides: how far a frame of a burst is from the reference
 #: Squared tangents of half a camera's field of view that are tried, from a telephoto lens to 80 degrees.
 CURVATURES = (0.0, 0.06, 0.12, 0.2, 0.35, 0.7)
-#: Upper quartile of the changes between two frames, in sigmas of the noise of a change, below which nothing has moved:
-#: 1.15 for noise alone.
-REST_SIGMAS = 1.2
+REST_SIGMAS = 1.2  # of `changes`, below which nothing has moved
 CHANGE_STRIDE = 3  # px, between samples that are compared
 TRIAL_FRAMES = 8  # of a burst, that curvatures are tried on
 MIN_FRAMES = 4  # of a burst
@@ -157,7 +155,7 @@ class Burst:
         self.level_variances = (free * self.noise**2).tolist()
         y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
         self.phase_change = phase_change(self.canvas.motion, self.canvas.size)
-        shown = group_power(dct(self.canvas.predicted(scene)[self.reference].astype(float)))
+        shown = directional_power(dct(self.canvas.predicted(scene)[self.reference].astype(float)))
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
         self.common_error = shown * common**2 / self.phase_change
@@ -259,7 +257,7 @@ def _frames_alike(frames: Array, around: int, pattern: Array) -> tuple[Array, Ar
     reference = around // step
     links = Links.of([Spectrum.of(frames[k] - pattern) for k in numbers], reference)
     motion = links.motion(0.0, max(size) / 2)
-    stays = _stays(frames[numbers], reference, noise_deviation(frames - pattern))
+    stays = changes(frames[numbers], [(k, reference) for k in range(len(numbers))], pattern) < REST_SIGMAS
     if stays.mean() > 0.5:
         raise CameraAtRestError(AT_REST)
     motion[stays] = np.eye(3)
@@ -302,18 +300,36 @@ def find_burst(
     few = np.unique(np.append(np.arange(0, len(kept), -(-len(kept) // TRIAL_FRAMES)), reference))
     known, detail = usable[kept[few]].astype(np.float32), frames[kept[few]] - pattern
     place = int(np.searchsorted(few, reference))
-    trials = [_misfit(detail, known, links.motion(each, half)[chosen][few], place, each) for each in CURVATURES]
-    curvature = CURVATURES[int(np.argmin(trials))]
+
+    def likeness(curvature: float) -> float:
+        return -_misfit(detail, known, links.motion(curvature, half)[chosen][few], place, curvature)
+
+    curvature = uphill(likeness, CURVATURES, CURVATURES[len(CURVATURES) // 2])
     motion = links.motion(curvature, half)[chosen]
     burst = Burst(frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ)
     return burst, kept, pattern
 
 
-def _stays(frames: Array, reference: int, noise: float) -> Array:
-    """Whether each frame (n, h, w) differs from a reference by little but noise and level, (n,) bool."""
-    change = (frames - frames[reference])[:, ::CHANGE_STRIDE, ::CHANGE_STRIDE].reshape(len(frames), -1)
-    change = np.abs(change - np.median(change, axis=1, keepdims=True))
-    return np.asarray(np.quantile(change, 0.75, axis=1) < REST_SIGMAS * 2**0.5 * noise)
+def uphill(score: Callable[[float], float], grid: Sequence[float], start: float) -> float:
+    """The value on an ascending grid from which a score falls both ways, uphill from the one next to `start`."""
+    at, last = int(np.argmin(np.abs(np.array(grid) - start))), -1
+    found = {at: score(grid[at])} if len(grid) > 1 else {}
+    while at != last:
+        near, last = range(max(at - 1, 0), min(at + 2, len(grid))), at
+        found.update({k: score(grid[k]) for k in near if k not in found})
+        at = max(near, key=found.__getitem__)
+    return grid[at]
+
+
+def changes(frames: Array, pairs: Sequence[tuple[int, int]], pattern: Array) -> Array:
+    """Upper quartile of the change of each pair of frames (n, h, w), less its level, in sigmas of its noise.
+
+    1.15 where nothing moves. The noise is that of the frames without what they share, `pattern` (h, w).
+    """
+    some = frames[:, ::CHANGE_STRIDE, ::CHANGE_STRIDE].reshape(len(frames), -1)
+    found = np.stack([some[i] - some[j] for i, j in pairs])
+    found = np.abs(found - np.median(found, axis=1, keepdims=True))
+    return np.asarray(np.quantile(found, 0.75, axis=1) / (2**0.5 * noise_deviation(frames - pattern)))
 
 
 def _misfit(frames: Array, known: Array, motion: Array, reference: int, curvature: float) -> float:

@@ -22,7 +22,7 @@ from deepir.io.inspection.samples import saturated_samples
 from deepir.kernels.block_means import block_means
 from deepir.messages import Message
 from deepir.multiview.texture_flow import coarsening, enlarged
-from deepir.recording.burst import AT_REST, Burst, CameraAtRestError, find_burst
+from deepir.recording.burst import AT_REST, Burst, CameraAtRestError, changes, find_burst
 from deepir.recording.defective_pixels import (
     FRAMES,
     defective_pixels,
@@ -46,9 +46,7 @@ MAX_MOTION_ERROR = 0.3
 #: Nats a sample for another cause from which they do not either: 0.15 at most where they do (hand-held, hot spots, and
 #: simulated pans of seeds 0 to 10), 0.22 and more in two pieces of a drive whose solution was worse than raw.
 MAX_MISFIT = 0.18
-#: Upper quartile of the changes between neighbouring keyframes, in sigmas of the noise of a change, below which nothing
-#: has moved.
-MIN_CHANGE_SIGMAS = 2.2
+MIN_CHANGE_SIGMAS = 2.2  # of `changes` between neighbouring keyframes, below which nothing has moved
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
 ONE_WAY = (
@@ -208,8 +206,9 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
+        coarse = replace(solution, low_order=(mean, variance))
         shared = shared_pattern(frames[numbers], usable[numbers])
-        solution = solve_sensor(burst, shared, (mean, variance))
+        solution = solve_sensor(burst, shared, coarse)
     _, expected = burst.compared(solution.offset, solution.gain)
     burst.frames = recorded[numbers]  # with what bad pixels show
     shown = burst.corrected(solution.offset, solution.gain)
@@ -338,8 +337,6 @@ def _unsaturated(frames: Array) -> Array:
 
 
 def _demand_motion(frames: Array, pattern: Array, pairs: Sequence[tuple[int, int]]) -> None:
-    """Raise `CameraAtRestError` if neighbouring frames differ only by noise."""
-    noise = 2**0.5 * noise_deviation(frames - pattern)
-    changes = [float(np.quantile(np.abs(frames[i] - frames[j])[::3, ::3], 0.75)) for i, j in pairs]
-    if not changes or np.median(changes) < MIN_CHANGE_SIGMAS * noise:
+    """Raise `CameraAtRestError` if neighbouring frames, (N, h, w), differ by little but noise and level."""
+    if not pairs or np.median(changes(frames, pairs, pattern)) < MIN_CHANGE_SIGMAS:
         raise CameraAtRestError(AT_REST)

@@ -56,21 +56,50 @@ class PatternPrior:
     """Variances of the cosine modes of a pattern (h, w), estimated by expectation maximisation.
 
     Args:
-        modes: (h, w), of a pattern, to start from its finest ones: the others continue their spectrum.
+        modes: (h, w), of a pattern, to start from the finest pixels', columns' and rows' ones: the others continue
+            their spectra.
+        coarse: of means of the same pattern over blocks; None: there is none.
 
     Attributes:
-        start: (h, w), variance of each mode before the data; of the mean next to nothing, which no data determine.
+        start: (h, w), variance of each mode before the data; of those that no data determine next to nothing.
         variance: (h, w), of each mode.
     """
 
-    def __init__(self, modes: Array) -> None:
+    def __init__(self, modes: Array, coarse: PatternPrior | None = None) -> None:
         self.groups = mode_groups(modes.shape)
         radius, longer = mode_radius(modes.shape), max(modes.shape)
-        finest = modes[radius > longer / 2]
-        pixel_variance = max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12)
-        self.start = pixel_variance * _growth(modes.shape)
-        self.start[0, 0] = 1e-9 * pixel_variance
-        self.variance = self.start.copy()
+        self._white = np.empty(modes.shape)
+        for kind in range(3):
+            of_kind = self.groups % 3 == kind
+            finest = modes[of_kind & (radius > longer / 2)]
+            self._white[of_kind] = max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12)
+        self._broad = self._white + self._white[-1, -1] * (_growth(modes.shape) - 1)
+        self._nothing = 1e-9 * float(self._broad.min())
+        self._broad[0, 0] = self._nothing  # the mean
+        self.start, self.variance = self._broad, self._broad.copy()
+        if coarse is not None:
+            height, width = coarse.variance.shape
+            factor = longer / max(height, width)
+            self.variance[:height, :width] = factor**2 * coarse.variance
+            self.variance[0, 0] = self._nothing
+
+    def leave_open(self, told: Array) -> Array:
+        """Take modes out of what is estimated where data do not tell them, `told` (h, w) bool, from a scene's.
+
+        Returns:
+            Their variances (h, w): of the finest ones, and what told modes of about the same period have beyond these.
+        """
+        self.start = np.where(told, self._broad, self._nothing)
+        known = told & (self._broad > self._nothing)
+        groups, most = self.groups[known], 3 * (int(self.groups.max()) // 3 + 1)
+        count = np.bincount(groups, minlength=most)
+        beyond = np.bincount(groups, (self.variance - self._white)[known], most) / np.maximum(count, 1)
+        largest = np.where(count > 0, beyond, -np.inf).reshape(-1, 3).max(1)[self.groups // 3]
+        return np.where(np.isfinite(largest), self._white + np.maximum(largest, 0), self._broad)
+
+    def is_open(self) -> Array:
+        """Modes (h, w) bool that are not estimated."""
+        return self.start == self._nothing
 
     def strengths(self, modes: Array, posterior: Array, among: Array) -> Array:
         """Variances of modes in a mask (h, w), by the means and posterior variances (h, w) of those of their group."""
@@ -80,7 +109,7 @@ class PatternPrior:
         power = np.bincount(groups, (modes**2 + posterior)[among], most)
         before = np.bincount(groups, start, most) / np.maximum(known, 1)
         found = ((power + PSEUDO_COUNT * before) / (known + PSEUDO_COUNT))[groups]
-        return np.asarray(np.where(start == self.start[0, 0], start, found))
+        return np.asarray(np.where(self.is_open()[among], start, found))
 
 
 def mode_groups(size: Sequence[int]) -> Array:
@@ -104,29 +133,26 @@ def shared_share(one: Array, other: Array) -> Array:
     return np.asarray(np.clip(1 - error / np.maximum(total, np.finfo(float).tiny), 0, 1))
 
 
+def directional_power(modes: Array) -> Array:
+    """Mean square (h, w) of modes (h, w) over those of about one period down and one across."""
+    down, across = (np.ceil(2 * np.log2(np.arange(side) + 1)).astype(int) for side in modes.shape)
+    return _mean_over(modes**2, down[:, None] * (across.max() + 1) + across)
+
+
 def group_power(modes: Array) -> Array:
     """Mean square (h, w) of modes (h, w) over those of each group."""
-    groups = mode_groups(modes.shape).ravel()
-    mean = np.bincount(groups, modes.ravel() ** 2) / np.maximum(np.bincount(groups), 1)
-    return np.asarray(mean[groups].reshape(modes.shape))
+    return _mean_over(modes**2, mode_groups(modes.shape))
+
+
+def _mean_over(values: Array, groups: Array) -> Array:
+    groups = groups.ravel()
+    mean = np.bincount(groups, values.ravel()) / np.maximum(np.bincount(groups), 1)
+    return np.asarray(mean[groups].reshape(values.shape))
 
 
 def _growth(size: Sequence[int]) -> Array:
     """Variance (h, w) of each mode of a pattern, relative to that of the finest, at most."""
     return np.maximum(1, (2 * max(size) / WHITE_PERIOD / np.maximum(mode_radius(size), 1)) ** 2)
-
-
-def without_scene(modes: Array) -> Array:
-    """Modes (h, w) of a pattern, shrunk where scenes are in them, which grow with the period more than a pattern does.
-
-    The finest pixels', columns' and rows' modes tell how strong the others are at most.
-    """
-    kinds, growth = mode_groups(modes.shape) % 3, _growth(modes.shape)
-    bound = growth.copy()
-    for kind in range(3):
-        finest = modes[(kinds == kind) & (mode_radius(modes.shape) > max(modes.shape) / 2)]
-        bound[kinds == kind] *= np.median(finest**2) / CHI_SQUARED_MEDIAN if finest.size else 1
-    return modes * np.where(growth > 1, np.minimum(1, bound / np.maximum(group_power(modes), 1e-30)), 1)
 
 
 class LowOrderModes:
@@ -285,10 +311,11 @@ def low_order_equations(
         columns = [each[inside] for each in own]
         if offset is not None:
             columns.append(bright[inside] + ndimage.map_coordinates(offset, at, order=1, mode="nearest"))
-        design = np.concatenate([modes.at(*at), np.stack(columns, 1)], 1)
-        weighted = design * own_weight[:, None]
+        design, root = np.concatenate([modes.at(*at), np.stack(columns, 1)], 1), np.sqrt(own_weight)[:, None]
+        half = root * design
+        weighted = root * half
         mine = np.s_[count + k * per_frame : count + (k + 1) * per_frame]
-        normal, slope = weighted.T @ design, weighted.T @ values
+        normal, slope = half.T @ half, weighted.T @ values
         matrix[shared, shared] += normal[shared, shared]
         matrix[mine, mine] = normal[count:, count:]
         matrix[shared, mine], matrix[mine, shared] = normal[shared, count:], normal[count:, shared]
