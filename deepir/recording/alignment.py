@@ -29,7 +29,7 @@ SHIFT_SIGMA = 6.0  # px; Gaussian whose mean is taken off before frames are corr
 REFINE_SIGMA = 8.0  # px; the same before motion is refined: what is slower is left to the sensor's estimate
 MIN_OVERLAP = 0.3  # of the frames' windows, of a shift that is considered
 PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to the frames
-MAX_STEPS, LAST_STEP = 3, 2e-3  # Gauss-Newton steps, at most; px, of the last one
+MAX_STEPS, LAST_STEP = 6, 2e-2  # Gauss-Newton steps, at most; px, of the last one
 TURN = 3  # parameters of the motion of a camera that turns
 OUTLIER_SIGMAS = 2.0  # of residuals, scale of Cauchy's weights
 
@@ -247,12 +247,11 @@ def refined_motion(
         curvature: of a turn, see `turned`.
     """
     detail = frames - ndimage.gaussian_filter(frames, (0, REFINE_SIGMA, REFINE_SIGMA))
-    scene = canvas.mean(detail, spread_weights)
     motion, around = canvas.motion.copy(), copy.copy(canvas)
     y, x = (each.ravel() / (max(canvas.size) / 2) for each in centred(canvas.size))
-    gradient = np.gradient(scene)
     for _ in range(MAX_STEPS):
-        down, across = (around.predicted(each).reshape(len(motion), -1) for each in gradient)
+        scene = around.mean(detail, spread_weights)
+        down, across = (around.predicted(each).reshape(len(motion), -1) for each in np.gradient(scene))
         rest = (detail - around.predicted(scene)).reshape(len(motion), -1)
         largest = 0.0
         for k, (gy, gx, missing, weight) in enumerate(zip(down, across, rest, weights, strict=True)):
@@ -274,6 +273,7 @@ def refined_motion(
             motion[k] = motion[k] @ _as_matrix(step, max(canvas.size) / 2)
             largest = max(largest, float(np.abs(step).max()))
         around.move(motion)
+        spread_weights = around.spread_weights(weights)
         if largest < LAST_STEP:
             break
     return np.asarray(motion @ np.linalg.inv(motion[reference]))
