@@ -61,6 +61,7 @@ def overlay(frames: Array, side: int, rng: np.random.Generator) -> Array:
 ALTERED = {each.__name__: each for each in (stretched, own_gains, dead_columns, overlay)}
 #: Cameras, by the setting that varies; others are small ones, or have altered frames.
 CAMERAS: dict[str, dict[str, Any]] = {
+    "max_shift": COUNTS,
     "pedestal": COUNTS | {"dead_pixels": 0.01},
     "contrast": COUNTS | {"bolometer": True, "n_frames": 8},
     "gain_shading": SMALL | {"n_frames": 8},
@@ -68,6 +69,7 @@ CAMERAS: dict[str, dict[str, Any]] = {
 #: Effect, what it is for, and strengths of that.
 NEEDS = (
     ("frame_offset", "level_drift", (0.1, 0.5, 2.0)),
+    ("unobserved", "max_shift", (5.0, 15.0, 30.0)),
     ("bad_pixels", "dead_columns", (1, 2, 4)),
     ("bad_pixels", "overlay", (5, 10, 20)),
     ("frame_gain", "stretched", (0.03, 0.1, 0.3)),

@@ -45,6 +45,29 @@ def fill_nearest(image: Tensor, known: Tensor) -> Tensor:
     return image
 
 
+def fill_pull_push(image: Tensor, known: Tensor) -> Tensor:
+    """Fill unknown pixels smoothly by pull-push over a pyramid of 2 x 2 averages.
+
+    Args:
+        image: (S, C, H, W).
+        known: Same shape, bool.
+
+    Returns:
+        The filled image; unchanged where known, or if nothing is known.
+
+    Source: Gortler et al. 1996, "The lumigraph", section 3.
+    """
+    if known.all() or not known.any():
+        return image
+    height, width = image.shape[-2:]
+    odd = (0, width % 2, 0, height % 2)
+    weight = F.avg_pool2d(F.pad(known.to(image), odd), 2)
+    total = F.avg_pool2d(F.pad(image.where(known, 0), odd), 2)
+    coarse = fill_pull_push(total / weight.clamp(min=1e-6), weight > 0)
+    fine = F.interpolate(coarse, scale_factor=2, mode="bilinear")[..., :height, :width]
+    return torch.where(known, image, fine)
+
+
 def median_filter(image: Tensor) -> Tensor:
     """Median of each 3 x 3 neighbourhood, with replicated borders.
 

@@ -9,6 +9,7 @@ import torch
 
 from deepir.arrays.statistics import median_sigma
 from deepir.burst import Burst
+from deepir.effects.outliers import observed
 from deepir.effects.saturation import bounded, clipping_message
 from deepir.effects.shading import added_flux
 from deepir.estimation.prior_weight import uncertainty
@@ -16,7 +17,6 @@ from deepir.fields.line_noise import LineNoise
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.messages import Message
 from deepir.operators.motion_models import Geometry, displacements, homographies
-from deepir.optim.preconditioner import MIN_FRAMES_SEEN
 from deepir.optim.solve import Solution
 from deepir.problem import Problem
 from deepir.result import Array, Result, neutral, to_gauge
@@ -91,14 +91,10 @@ def make_result(
     return result
 
 
-@torch.no_grad()
 def unseen_scene(problem: Problem, geometry: Geometry, burst: Burst) -> Array:
     """Pixels of the scene that no usable sample of the frames shows, bool, (H, W) or (N, H, W)."""
     usable = torch.from_numpy(burst.valid & ~burst.bad_pixels)[:, None].to(problem.data.device)
-    values = problem.values()
-    slots = {slot: values[name] for slot, name in problem.slots.items()}
-    weight = problem.operator.adjoint(usable.to(problem.data), tuple(values["scene"].shape), **slots)
-    unseen: Array = geometry.crop((weight <= MIN_FRAMES_SEEN * weight.max() / len(usable)).cpu().numpy())
+    unseen: Array = geometry.crop(~observed(problem, usable).cpu().numpy())
     return unseen if not (burst.stretched or usable.all()) else np.zeros_like(unseen)
 
 

@@ -44,7 +44,7 @@ class NUC(Recipe):
     operators: ClassVar[tuple[str, ...]] = ("warp", "sensor")
     effect_names: ClassVar[tuple[str, ...]] = (
         *("saturation", "bad_pixels", "frame_gain", "frame_offset", "line_noise", "noise"),
-        *("sensor_pattern", "shading", "outliers", "moving_objects", "reference_level"),
+        *("sensor_pattern", "shading", "outliers", "unobserved", "moving_objects", "reference_level"),
         *("gain_drift", "vignetting"),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,8 @@ from deepir.recording.modes import (
     NormalEquations,
     block_sums,
     dct,
-    directional_power,
+    directional_groups,
+    group_power,
     low_order_equations,
     mode_radius,
 )
@@ -155,10 +156,11 @@ class Burst:
         self.level_variances = (free * self.noise**2).tolist()
         y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
         self.phase_change = phase_change(self.canvas.motion, self.canvas.size)
-        shown = directional_power(dct(self.canvas.predicted(scene)[self.reference].astype(float)))
+        shown = dct(self.canvas.predicted(scene)[self.reference].astype(float))
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
-        self.common_error = shown * common**2 / self.phase_change
+        power = group_power(shown, directional_groups(self.canvas.size))
+        self.common_error = power * common**2 / self.phase_change
         least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
         self.tells = phase_change(_rigid(self.canvas.motion), self.canvas.size) > least
         self._motions = np.stack(motion_gradients(down, across, y, x), 1)
@@ -300,25 +302,11 @@ def find_burst(
     few = np.unique(np.append(np.arange(0, len(kept), -(-len(kept) // TRIAL_FRAMES)), reference))
     known, detail = usable[kept[few]].astype(np.float32), frames[kept[few]] - pattern
     place = int(np.searchsorted(few, reference))
-
-    def likeness(curvature: float) -> float:
-        return -_misfit(detail, known, links.motion(curvature, half)[chosen][few], place, curvature)
-
-    curvature = uphill(likeness, CURVATURES, CURVATURES[len(CURVATURES) // 2])
+    trials = [_misfit(detail, known, links.motion(each, half)[chosen][few], place, each) for each in CURVATURES]
+    curvature = CURVATURES[int(np.argmin(trials))]
     motion = links.motion(curvature, half)[chosen]
     burst = Burst(frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ)
     return burst, kept, pattern
-
-
-def uphill(score: Callable[[float], float], grid: Sequence[float], start: float) -> float:
-    """The value on an ascending grid from which a score falls both ways, uphill from the one next to `start`."""
-    at, last = int(np.argmin(np.abs(np.array(grid) - start))), -1
-    found = {at: score(grid[at])} if len(grid) > 1 else {}
-    while at != last:
-        near, last = range(max(at - 1, 0), min(at + 2, len(grid))), at
-        found.update({k: score(grid[k]) for k in near if k not in found})
-        at = max(near, key=found.__getitem__)
-    return grid[at]
 
 
 def changes(frames: Array, pairs: Sequence[tuple[int, int]], pattern: Array) -> Array:

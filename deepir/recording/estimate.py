@@ -206,9 +206,8 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
-        coarse = replace(solution, low_order=(mean, variance))
         shared = shared_pattern(frames[numbers], usable[numbers])
-        solution = solve_sensor(burst, shared, coarse)
+        solution = solve_sensor(burst, shared, (mean, variance))
     _, expected = burst.compared(solution.offset, solution.gain)
     burst.frames = recorded[numbers]  # with what bad pixels show
     shown = burst.corrected(solution.offset, solution.gain)

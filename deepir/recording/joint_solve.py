@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
-from deepir.recording.burst import SHIFT_ERROR, Burst, uphill
+from deepir.recording.burst import SHIFT_ERROR, Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
 
 Array = np.ndarray[Any, Any]
@@ -61,7 +61,6 @@ class SensorSolution:
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
         low_order: part of long periods of the offset, and its posterior variance, (h, w) each.
-        prior: of the offset; None where there is none.
         motion_error: of the frames, px; inf where they do not register.
         noise: of a sample, frames' units; NaN where it is not known.
     """
@@ -70,40 +69,38 @@ class SensorSolution:
     gain: Array
     deviation: Array | None
     low_order: tuple[Array, Array]
-    prior: PatternPrior | None
     motion_error: float
     noise: float
 
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
-        return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), None, np.inf, np.nan)
+        return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, np.nan)
 
 
-def solve_sensor(burst: Burst, start: Array, coarse: SensorSolution | None = None) -> SensorSolution:
+def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
     """Estimate offset and gain of a sensor.
 
     Args:
         burst: of one scene; its motion, levels and gains are refined in place.
         start: (h, w), an offset whose fine part is right; its low-order part is not used.
-        coarse: of means over blocks, and its low-order part enlarged, which is kept; None: it is estimated.
+        low_order: part of long periods, and its variance, (h, w) each, found already; None: they are estimated.
     """
     size = burst.frames.shape[1:]
     modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
-    prior = PatternPrior(dct(start), coarse.prior if coarse else None)
-    low_order = coarse.low_order if coarse else None
+    prior = PatternPrior(dct(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
     fine = ~modes.low
     fine[0, 0] = False
-    shared, kept = group_power(dct(offset)), np.ones(size)
+    broad = prior.start
     for number in range(FIRST_GAIN_ROUND if low_order else 0, ROUNDS):
         burst.align(offset, gain, FREE_MOTION[number])
         burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
         told, found = burst.tells, dct(offset)
-        open_variance = prior.leave_open(told)
-        share = np.where(told, 1, np.minimum(1, open_variance / np.maximum(shared, 1e-30)))  # the rest is the scene's
-        offset, kept = idct(found * share / kept), share
+        prior.start = np.where(told, broad, broad[0, 0])
+        of_sensor = np.minimum(1, broad / np.maximum(group_power(found, prior.groups), 1e-30))
+        offset = idct(np.where(told, found, of_sensor * found))  # the rest stays, without what is the scene's
         if not low_order:
             step, covariance = low_order_step([burst], modes, prior, offset, gain)
             offset = offset + step
@@ -113,13 +110,13 @@ def solve_sensor(burst: Burst, start: Array, coarse: SensorSolution | None = Non
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(burst, offset, gain)
-    left = np.where(told, 0.0, np.where(modes.low, open_variance, np.minimum(open_variance, shared)))
+    left = np.where(told, 0.0, broad + (dct(start) - dct(offset)) ** 2)  # what may be the scene's, or not
     if not low_order:
         covariance = covariance + np.diag(modes.variances(left))
         low_order = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
     fine_variance = (np.where(told, posterior, 0.0) + left)[fine].sum() / posterior.size + extrapolated
     deviation = np.sqrt(low_order[1] + fine_variance)
-    return SensorSolution(offset - offset.mean(), gain, deviation, low_order, prior, burst.motion_error, burst.noise)
+    return SensorSolution(offset - offset.mean(), gain, deviation, low_order, burst.motion_error, burst.noise)
 
 
 def low_order_step(
@@ -142,19 +139,18 @@ def low_order_step(
     """
     systems = [burst.equations(modes, offset, gain) for burst in bursts]
     before = modes.analyse(offset)
-    last = [burst.level_variance for burst in bursts]
     for burst in bursts:
         burst.inflation, burst.level_variance = 1.0, max(burst.level_variances)
     free = _fit(bursts, systems, prior, modes, before)  # the misfit that is left with free levels
     for burst, system, own in zip(bursts, systems, free.reduced, strict=True):
         burst.inflation = system.inflation(np.concatenate([free.change, own.of(free.change)]))
-    for burst, system, variance in zip(bursts, systems, last, strict=True):
-
-        def evidence(variance: float, burst: LowOrderSystem = burst, system: NormalEquations = system) -> float:
-            burst.level_variance = variance
-            return _fit([burst], [system], prior, modes, before).evidence
-
-        burst.level_variance = uphill(evidence, burst.level_variances, variance)
+    for k, burst in enumerate(bursts):
+        if len(burst.level_variances) > 1:
+            evidence = []
+            for variance in burst.level_variances:
+                burst.level_variance = variance
+                evidence.append(_fit([burst], systems[k : k + 1], prior, modes, before).evidence)
+            burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
     best = _fit(bursts, systems, prior, modes, before)
     for burst, system, own in zip(bursts, systems, best.reduced, strict=True):
         each = own.of(best.change).reshape(-1, system.per_frame)
@@ -190,7 +186,8 @@ def _fit(
     own = sum(each.score for each in reduced)
     score = own + data @ before
     count = int(modes.low.sum())
-    variance = modes.variances(np.where(modes.low | prior.is_open(), prior.start, prior.variance))
+    open_modes = prior.start == prior.start[0, 0]
+    variance = modes.variances(np.where(modes.low | open_modes, prior.start, prior.variance))
     for number in range(UPDATES):
         matrix = data + np.diag(1 / variance)
         covariance = np.linalg.inv(matrix)

@@ -58,48 +58,21 @@ class PatternPrior:
     Args:
         modes: (h, w), of a pattern, to start from the finest pixels', columns' and rows' ones: the others continue
             their spectra.
-        coarse: of means of the same pattern over blocks; None: there is none.
 
     Attributes:
-        start: (h, w), variance of each mode before the data; of those that no data determine next to nothing.
+        start: (h, w), variance of each mode before the data; of the mean next to nothing, which no data determine.
         variance: (h, w), of each mode.
     """
 
-    def __init__(self, modes: Array, coarse: PatternPrior | None = None) -> None:
+    def __init__(self, modes: Array) -> None:
         self.groups = mode_groups(modes.shape)
-        radius, longer = mode_radius(modes.shape), max(modes.shape)
-        self._white = np.empty(modes.shape)
+        finest, white = mode_radius(modes.shape) > max(modes.shape) / 2, np.empty(modes.shape)
         for kind in range(3):
             of_kind = self.groups % 3 == kind
-            finest = modes[of_kind & (radius > longer / 2)]
-            self._white[of_kind] = max(float(np.median(finest**2)) / CHI_SQUARED_MEDIAN, 1e-12)
-        self._broad = self._white + self._white[-1, -1] * (_growth(modes.shape) - 1)
-        self._nothing = 1e-9 * float(self._broad.min())
-        self._broad[0, 0] = self._nothing  # the mean
-        self.start, self.variance = self._broad, self._broad.copy()
-        if coarse is not None:
-            height, width = coarse.variance.shape
-            factor = longer / max(height, width)
-            self.variance[:height, :width] = factor**2 * coarse.variance
-            self.variance[0, 0] = self._nothing
-
-    def leave_open(self, told: Array) -> Array:
-        """Take modes out of what is estimated where data do not tell them, `told` (h, w) bool, from a scene's.
-
-        Returns:
-            Their variances (h, w): of the finest ones, and what told modes of about the same period have beyond these.
-        """
-        self.start = np.where(told, self._broad, self._nothing)
-        known = told & (self._broad > self._nothing)
-        groups, most = self.groups[known], 3 * (int(self.groups.max()) // 3 + 1)
-        count = np.bincount(groups, minlength=most)
-        beyond = np.bincount(groups, (self.variance - self._white)[known], most) / np.maximum(count, 1)
-        largest = np.where(count > 0, beyond, -np.inf).reshape(-1, 3).max(1)[self.groups // 3]
-        return np.where(np.isfinite(largest), self._white + np.maximum(largest, 0), self._broad)
-
-    def is_open(self) -> Array:
-        """Modes (h, w) bool that are not estimated."""
-        return self.start == self._nothing
+            white[of_kind] = max(float(np.median(modes[of_kind & finest] ** 2)) / CHI_SQUARED_MEDIAN, 1e-12)
+        self.start = white + white[-1, -1] * (_growth(modes.shape) - 1)
+        self.start[0, 0] = 1e-9 * float(white.min())
+        self.variance = self.start.copy()
 
     def strengths(self, modes: Array, posterior: Array, among: Array) -> Array:
         """Variances of modes in a mask (h, w), by the means and posterior variances (h, w) of those of their group."""
@@ -109,7 +82,7 @@ class PatternPrior:
         power = np.bincount(groups, (modes**2 + posterior)[among], most)
         before = np.bincount(groups, start, most) / np.maximum(known, 1)
         found = ((power + PSEUDO_COUNT * before) / (known + PSEUDO_COUNT))[groups]
-        return np.asarray(np.where(self.is_open()[among], start, found))
+        return np.asarray(np.where(start == self.start[0, 0], start, found))
 
 
 def mode_groups(size: Sequence[int]) -> Array:
@@ -129,25 +102,21 @@ def shared_share(one: Array, other: Array) -> Array:
         one, other: modes of the two estimates, (h, w), from frames of different times.
     """
     common = 1 + (COMMON_RADIUS / np.maximum(mode_radius(one.shape), 1)) ** 2
-    error, total = common * group_power((one - other) / 2), group_power((one + other) / 2)
+    groups = mode_groups(one.shape)
+    error, total = common * group_power((one - other) / 2, groups), group_power((one + other) / 2, groups)
     return np.asarray(np.clip(1 - error / np.maximum(total, np.finfo(float).tiny), 0, 1))
 
 
-def directional_power(modes: Array) -> Array:
-    """Mean square (h, w) of modes (h, w) over those of about one period down and one across."""
-    down, across = (np.ceil(2 * np.log2(np.arange(side) + 1)).astype(int) for side in modes.shape)
-    return _mean_over(modes**2, down[:, None] * (across.max() + 1) + across)
+def directional_groups(size: Sequence[int]) -> Array:
+    """The group (h, w) of each mode, those of about one period down and one across."""
+    down, across = (np.ceil(2 * np.log2(np.arange(side) + 1)).astype(int) for side in size)
+    return np.asarray(down[:, None] * (across.max() + 1) + across)
 
 
-def group_power(modes: Array) -> Array:
-    """Mean square (h, w) of modes (h, w) over those of each group."""
-    return _mean_over(modes**2, mode_groups(modes.shape))
-
-
-def _mean_over(values: Array, groups: Array) -> Array:
-    groups = groups.ravel()
-    mean = np.bincount(groups, values.ravel()) / np.maximum(np.bincount(groups), 1)
-    return np.asarray(mean[groups].reshape(values.shape))
+def group_power(modes: Array, groups: Array) -> Array:
+    """Mean square (h, w) of modes (h, w) over those of each group (h, w)."""
+    mean = np.bincount(groups.ravel(), modes.ravel() ** 2) / np.maximum(np.bincount(groups.ravel()), 1)
+    return np.asarray(mean[groups])
 
 
 def _growth(size: Sequence[int]) -> Array:

@@ -26,14 +26,11 @@ def test_a_small_drift_is_found_beside_strong_columns(seed):
 
 
 def test_a_jump_of_the_level_by_twice_the_scene_is_taken_out():
-    errors = []
-    for seed in (1, 2, 3):
-        sim = burst(n_frames=6, seed=seed)
-        jump = 2 * sim.settings.contrast * (np.arange(6) > 2)
-        result = deepir.run("nuc", frames=sim.frames + jump[:, None, None], threads=1)
-        assert np.abs(result.level - (jump - jump.mean())).max() < 0.01 * sim.settings.contrast
-        errors.append(error(result, sim))
-    assert np.median(errors) < 0.02 * sim.settings.contrast
+    sim = burst(n_frames=6)
+    jump = 2 * sim.settings.contrast * (np.arange(6) > 2)
+    result = deepir.run("nuc", frames=sim.frames + jump[:, None, None], threads=1)
+    assert np.abs(result.level - (jump - jump.mean())).max() < 0.01 * sim.settings.contrast
+    assert error(result, sim) < 0.02 * sim.settings.contrast
 
 
 @pytest.mark.parametrize("shading", [0.0, 0.5])

@@ -24,7 +24,7 @@ def test_a_problem_has_the_effects_that_it_lists_but_those_that_are_switched_off
     assert names(make_recipe(load("nuc"))) == listed
     without = names(make_recipe(load("nuc", ["effects.vignetting=false"])))
     assert without == [name for name in listed if name != "vignetting"]
-    assert names(make_recipe(load("sr", ["effects.vignetting=true"])))[-1] == "vignetting"  # not listed: last
+    assert names(make_recipe(load("sr", ["effects.unobserved=true"])))[-1] == "unobserved"  # not listed: last
     recipe = make_recipe(load("nuc", ["effects.moving_objects.min_contrast=7"]))
     (found,) = (effect for effect in recipe.effects if type(effect) is EFFECTS["moving_objects"])
     assert found.min_contrast == 7
