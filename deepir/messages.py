@@ -128,9 +128,9 @@ WARNINGS = {
         "Take frames of different scenes, with a camera that turns.",
     ),
     "shading-stays": (
-        "The shading of the fixed pattern was not separated from the scenes and stays in the recording. It is weak, or "
-        "the motion does not reveal it.",
-        "Turn the camera both ways, and record for longer.",
+        "The shading of the fixed pattern was not separated from the scenes and stays. Rows, columns and pixels are "
+        "corrected. Do not compare distant parts of a picture.",
+        "Where you see shading: Turn the camera both ways, sideways and up and down.",
     ),
     "camera-turns-one-way": (
         "Where the scene moves along one axis only, the shading of the sensor along the other axis is the same in all "
@@ -206,7 +206,7 @@ WARNINGS = {
 #: The same of what the result takes into account already.
 NOTES = {
     "moving-object": (
-        "Something moves by itself, and its samples are left out; `moving` in `result.npz` shows them.",
+        "Something moves by itself, and is left out of the estimate. Of a burst, `moving` in `result.npz` shows it.",
         "Nothing, unless it covers a place in most frames. Then mask it with `data.mask`.",
     ),
     "line-noise": (

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from deepir.baselines.rival import Array, estimate_mean_offset, estimate_offset, last_of, rival
 from deepir.kernels.block_means import block_means
-from deepir.multiview.pattern import poisson
+from deepir.multiview.pattern_gradients import poisson
 
 STEP_LENGTH = 1.0  # largest change of a pixel by the first frame, in typical gradients
 TV_SMOOTHING = 0.1  # smoothing of the total variation at zero, in typical gradients
@@ -31,7 +31,7 @@ def multiview_tv(frames: Array) -> Array:
 
     Source: Barral, Arias, Davy: Fixed pattern noise removal for multi-view single-sensor infrared camera (2024).
     """
-    return poisson([np.median(np.diff(frames, axis=axis), axis=0) for axis in (-1, -2)])
+    return poisson([np.median(np.diff(frames, axis=axis), axis=0) for axis in (1, 2)])
 
 
 @rival("gradient_consensus", estimate_offset)
@@ -44,7 +44,7 @@ def gradient_consensus(frames: Array) -> Array:
     """
     cut = int(TRIMMED_SHARE * len(frames))
     middle = slice(cut, len(frames) - cut)
-    return poisson([np.sort(np.diff(frames, axis=axis), 0)[middle].mean(0, dtype=np.float64) for axis in (-1, -2)])
+    return poisson([np.sort(np.diff(frames, axis=axis), 0)[middle].mean(0, dtype=np.float64) for axis in (1, 2)])
 
 
 @rival("multiview_tv_recursive", estimate_offset)

@@ -12,7 +12,7 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.recorder import LiveKeyframes
-from deepir.recording.pattern_gradients import contains_pattern, removes_more
+from deepir.multiview.pattern_gradients import contains_pattern, removes_more
 from deepir.recording.segments import Segment
 
 Array = np.ndarray[Any, Any]

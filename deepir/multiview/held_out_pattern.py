@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.block_means import block_means
-from deepir.multiview.pattern import median_pattern
+from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled
 
 Array = np.ndarray[Any, Any]
@@ -82,8 +82,8 @@ class CorrectionScorer:
     ) -> None:
         self.usable, self.factor = usable, max(1, min(frames.shape[1:]) // SHORT_SIDE)
         self.frames, self.independent = frames, independent
-        #: Pattern (h, w) of the frames' median gradients.
-        self.shared = median_pattern(frames, usable)
+        #: Pattern (h, w) that the frames' gradients share.
+        self.shared = gradient_consensus(frames, usable)
         detail = self.shared - ndimage.uniform_filter(self.shared, DETAIL)
         #: Displacements of moving scenes, found in each of these ways.
         self.found: list[Displacement] = []

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy import ndimage
-from scipy.fft import dctn, idctn
 from torch import Tensor
 
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
@@ -20,6 +19,7 @@ from deepir.fields.shading import Shading
 from deepir.kernels.block_means import block_means
 from deepir.multiview.gradients import AXES, ColouredPixels, Edges, WhiteParts, median_gradients
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
+from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
 
 Array = np.ndarray[Any, Any]
@@ -51,7 +51,7 @@ PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for tho
 
 def is_at_rest(frames: Array, usable: Array) -> bool:
     """Whether frames (N, h, w) show the same scene at the same place, whatever moves through it."""
-    shared = median_pattern(frames, usable)
+    shared = gradient_consensus(frames, usable)
     coarse = ndimage.uniform_filter(shared, DETAIL)
     detail, texture = shared - coarse, coarse - ndimage.gaussian_filter(shared, TEXTURE_SIGMA)
     if np.median(np.abs(texture)) < SCENE_RATIO * np.median(np.abs(detail)):
@@ -186,27 +186,6 @@ def isolated_offsets(frames: Tensor, usable: Tensor) -> Tensor:
         typical = sides.abs().median()
         offsets += sign * torch.where(least > ISOLATED * typical, least, 0)
     return offsets.to(frames.dtype)
-
-
-def median_pattern(frames: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """The offset (h, w), mean zero, whose gradients are the medians of those of frames (N, h, w).
-
-    Weiss 2001, "Deriving intrinsic images from image sequences".
-    """
-    gradients = median_gradients(torch.from_numpy(frames), torch.from_numpy(usable))
-    return poisson([each.numpy() for each in gradients])
-
-
-def poisson(gradients: Sequence[np.ndarray]) -> np.ndarray:
-    """The map (h, w), mean zero, whose differences are nearest to `gradients` along x and along y.
-
-    Poisson's equation with free edges, by the cosine transform.
-    """
-    score = sum(-np.diff(each, axis=axis, prepend=0, append=0) for axis, each in zip(AXES, gradients, strict=True))
-    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in np.shape(score))
-    curvature = y[:, None] + x
-    curvature[0, 0] = np.inf  # the level stays zero
-    return np.asarray(idctn(dctn(score, norm="ortho") / curvature, norm="ortho"))
 
 
 @torch.no_grad()

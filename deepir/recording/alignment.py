@@ -27,6 +27,7 @@ BORDER = 3  # px at a frame's edge that are not spread onto the canvas: the spli
 MIN_SEEN = 0.99  # of the spline's weight that lies on known canvas, so that a sample counts as predicted
 SHIFT_SIGMA = 6.0  # px; Gaussian whose mean is taken off before frames are correlated
 REFINE_SIGMA = 8.0  # px; the same before motion is refined: what is slower is left to the sensor's estimate
+LIMIT = 0.9  # quantile of the strength of a frame's detail, at which it is limited
 MIN_OVERLAP = 0.3  # of the frames' windows, of a shift that is considered
 PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to the frames
 MAX_STEPS, LAST_STEP = 6, 2e-2  # Gauss-Newton steps, at most; px, of the last one
@@ -132,11 +133,12 @@ class Spectrum:
 
     @classmethod
     def of(cls, frame: Array) -> Spectrum:
-        """Of a frame (h, w), less its low-order part."""
+        """Of a frame (h, w), less its low-order part; limited, as a hot person who walks would outweigh the scene."""
         height, width = frame.shape
         padded = fft.next_fast_len(int(PADDING * height)), fft.next_fast_len(int(PADDING * width))
         window = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in frame.shape))).astype(np.float32)
         detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
+        detail = detail.clip(*np.quantile(np.abs(detail), LIMIT) * np.array([-1, 1]))
         shown, square, whole = (fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window))
         return cls(shown, square, whole, padded)
 

@@ -8,7 +8,7 @@ one (`displaced`). What neither determines is left as it is.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,8 +21,9 @@ from deepir.errors import DataError
 from deepir.io.inspection.samples import saturated_samples
 from deepir.kernels.block_means import block_means
 from deepir.messages import Message
+from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import coarsening, enlarged
-from deepir.recording.burst import AT_REST, Burst, CameraAtRestError, changes, find_burst
+from deepir.recording.burst import AT_REST, MIN_FRAMES, CameraAtRestError, changes, find_burst
 from deepir.recording.defective_pixels import (
     FRAMES,
     defective_pixels,
@@ -32,20 +33,18 @@ from deepir.recording.defective_pixels import (
 )
 from deepir.recording.displaced import fine_part, low_order_part, solve_low_order
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
-from deepir.recording.keyframes import Keyframes
-from deepir.recording.pattern_gradients import shared_pattern
+from deepir.recording.keyframes import Keyframes, spread
 
 Array = np.ndarray[Any, Any]
 
-MIN_KEYFRAMES = 4
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
-FRAMES_OF_LIMITS = 12  # keyframes whose values show where samples are saturated
 #: px, error of the motion from which frames do not register as a whole, if their residuals have a cause too: 0.05 to
 #: 0.25 hand-held, 0.3 to 2.5 where the camera moves among near things; sharp edges alone make up to 0.45.
 MAX_MOTION_ERROR = 0.3
 #: Nats a sample for another cause from which they do not either: 0.15 at most where they do (hand-held, hot spots, and
 #: simulated pans of seeds 0 to 10), 0.22 and more in two pieces of a drive whose solution was worse than raw.
 MAX_MISFIT = 0.18
+MIN_MOVING = 0.001  # share of the samples that show what moves by itself, from which it is said
 MIN_CHANGE_SIGMAS = 2.2  # of `changes` between neighbouring keyframes, below which nothing has moved
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
@@ -109,7 +108,7 @@ class _Samples:
     @classmethod
     def of(cls, keyframes: Keyframes) -> _Samples:
         frames = keyframes.frames
-        if len(frames) < MIN_KEYFRAMES:
+        if len(frames) < MIN_FRAMES:
             raise DataError(
                 f"{len(frames)} of {keyframes.length} frame(s) show anything new, too few. "
                 "Record for some seconds while the camera moves"
@@ -119,7 +118,7 @@ class _Samples:
         level = float(np.median(frames[thin][usable[thin]])) if usable[thin].any() else 0.0
         frames = np.where(usable, frames, np.float32(level)) - np.float32(level)
         early, late = np.s_[: len(frames) // 2], np.s_[len(frames) // 2 :]
-        halves = shared_pattern(frames[early], usable[early]), shared_pattern(frames[late], usable[late])
+        halves = gradient_consensus(frames[early], usable[early]), gradient_consensus(frames[late], usable[late])
         rounding = rounding_deviation(keyframes.frames[0])
         few = np.s_[:: max(1, len(frames) // FRAMES)]
         some = frames[few] - (halves[0] + halves[1]) / 2
@@ -168,7 +167,7 @@ def estimate_sensor(
     found = _of_registered(samples, keyframes, jumps)
     if found is not None:
         return found
-    _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+    _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
     return replace(_of_displaced(samples, keyframes, former), jumps=tuple(jumps))
 
 
@@ -179,7 +178,7 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
         DataError: As `estimate_sensor`.
     """
     samples = _Samples.of(keyframes)
-    _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+    _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
     return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), "fine offset")
 
 
@@ -192,21 +191,25 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         frames, recorded = (each / contrasts[:, None, None] for each in (frames, recorded))
     factor = coarsening(size)
     small, known = _averaged(frames, usable, factor)
-    start = _averaged(shared_pattern(frames, usable)[None], ~samples.bad[None], factor)[0][0]
+    start = _averaged(gradient_consensus(frames, usable)[None], ~samples.bad[None], factor)[0][0]
     found = find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ)
     if found is None:
         return None
     burst, numbers, shared = found
     solution = solve_sensor(burst, shared)
+    seen, expected = burst.compared(solution.offset, solution.gain)
+    moving = burst.moving_share(seen - expected)
     unsure = solution.motion_error > MAX_MOTION_ERROR
-    if _misfit(burst, solution) > (MIN_MISFIT if unsure else MAX_MISFIT):
+    precision = burst.usable.astype(np.float32) / burst.noise**2
+    _, nats, _ = misfit(seen - expected, precision, precision, expected, np.ones_like(seen[:1]))
+    if nats > (MIN_MISFIT if unsure else MAX_MISFIT):
         return None
     if unsure:  # at rest, all of the scene may pass for the pattern
-        _demand_motion(samples.frames, samples.pattern, keyframes.pairs)
+        _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
     if factor > 1:
         burst = burst.enlarged(frames[numbers], usable[numbers], factor)
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
-        shared = shared_pattern(frames[numbers], usable[numbers])
+        shared = gradient_consensus(frames[numbers], usable[numbers])
         solution = solve_sensor(burst, shared, (mean, variance))
     _, expected = burst.compared(solution.offset, solution.gain)
     burst.frames = recorded[numbers]  # with what bad pixels show
@@ -217,18 +220,11 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         samples,
         solution,
         "gain and offset",
-        _one_way(burst.tells),
         (shown, expected),
-        (places, burst.gains * contrasts[numbers]) if gains_differ else None,
-        tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
+        messages=tuple(_messages(burst.tells, moving)),
+        contrasts=(places, burst.gains * contrasts[numbers]) if gains_differ else None,
+        jumps=tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
     )
-
-
-def _misfit(burst: Burst, solution: SensorSolution) -> float:
-    """Nats a sample by which something that is not modelled, as parallax, explains the residuals."""
-    frames, expected = burst.compared(solution.offset, solution.gain)
-    precision = burst.usable.astype(np.float32) / burst.noise**2
-    return misfit(frames - expected, precision, precision, expected, np.ones_like(frames[:1]))[1]
 
 
 def _contrasts(frames: Array) -> Array:
@@ -247,26 +243,25 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     start = _averaged(whole[None].astype(np.float32), ~samples.bad[None], factor)[0][0]
     low = solve_low_order(small, keyframes.neighbours, start)
     if low is not None:
-        return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
-    if former is not None:
-        rest = former.offset + (former.gain - 1) * samples.level
-        return _estimate(samples, SensorSolution.of_offset(offset + low_order_part(rest)), "offset")
-    message = Message(
-        "shading-stays",
-        "the shading of the fixed pattern could not be separated from the scenes and was not corrected: it is weak, or "
-        "the camera moves too little",
-    )
-    return _estimate(samples, SensorSolution.of_offset(offset), "fine offset", (message,))
+        offset = offset + enlarged(low, size, factor)
+    elif former is not None:
+        offset = offset + low_order_part(former.offset + (former.gain - 1) * samples.level)
+    else:
+        message = Message(
+            "shading-stays",
+            "the shading of the fixed pattern could not be separated from the scenes and was not corrected: it is "
+            "weak, or the camera moves too little",
+        )
+        return _estimate(samples, SensorSolution.of_offset(offset), "fine offset", messages=(message,))
+    return _estimate(samples, SensorSolution.of_offset(offset), "offset")
 
 
 def _estimate(
     samples: _Samples,
     solution: SensorSolution,
     kept: str,
-    messages: tuple[str, ...] = (),
     registered: tuple[Array, Array] | None = None,
-    contrasts: tuple[Array, Array] | None = None,
-    jumps: tuple[int, ...] = (),
+    **more: Any,
 ) -> SensorEstimate:
     """The estimate, its bad pixels judged again by `registered` frames and what they should show, if there are any."""
     gain, offset, bad = solution.gain, solution.offset, samples.bad
@@ -277,6 +272,7 @@ def _estimate(
         offset = np.where(bad & ~again, offset + np.median(frames - expected, axis=0), offset)
         bad = again
     offset = offset - (0.0 if bad.all() else offset[~bad].mean())
+    noise = solution.noise if np.isfinite(solution.noise) else noise_deviation(samples.frames - offset)
     return SensorEstimate(
         np.where(bad, 1, gain),
         offset,
@@ -285,10 +281,8 @@ def _estimate(
         solution.deviation,
         kept,
         solution.motion_error,
-        messages,
-        contrasts,
-        jumps,
-        solution.noise,
+        noise=max(noise, samples.rounding),
+        **more,
     )
 
 
@@ -311,23 +305,27 @@ def _may_jump(rest: Array, before: Array, noise: float) -> bool:
     return bool(np.median(change**2) / CHI_SQUARED_MEDIAN > MAX_CHANGE * expected)
 
 
-def _one_way(tells: Array) -> tuple[str, ...]:
-    """The message that a camera turned one way, if its motion leaves most modes (h, w) of rows or columns open."""
+def _messages(tells: Array, moving: float) -> Iterator[str]:
+    """What is said of modes (h, w) that the motion leaves open, and of the share of samples that show what moves."""
     for along, (motion, where, remedy) in zip((tells[1:, 0], tells[0, 1:]), ONE_WAY, strict=True):
         if along.mean() < 0.5:
-            return (
-                Message(
-                    "camera-turns-one-way",
-                    f"the camera {motion}: the shading of the fixed pattern {where} is not separated from the scenes', "
-                    f"and was left as it was. {remedy}",
-                ),
+            yield Message(
+                "camera-turns-one-way",
+                f"the camera {motion}: the shading of the fixed pattern {where} is not separated from the scenes', "
+                f"and was left as it was. {remedy}",
             )
-    return ()
+            break
+    if moving > MIN_MOVING:
+        yield Message(
+            "moving-object",
+            f"something moves by itself, as a person or a car: {moving:.1%} of the samples show it. It stays, and the "
+            "correction does not rest on it",
+        )
 
 
 def _unsaturated(frames: Array) -> Array:
     """Samples (N, h, w) between the values at which some are saturated."""
-    some = frames[:: max(1, len(frames) // FRAMES_OF_LIMITS)]
+    some = frames[:: max(1, len(frames) // FRAMES)]
     ends = saturated_samples(some)
     if ends is None:
         return np.isfinite(frames)
@@ -335,7 +333,9 @@ def _unsaturated(frames: Array) -> Array:
     return np.asarray((frames > low) & (frames < high))
 
 
-def _demand_motion(frames: Array, pattern: Array, pairs: Sequence[tuple[int, int]]) -> None:
+def _demand_motion(frames: Array, pattern: Array, neighbours: Sequence[Sequence[int]]) -> None:
     """Raise `CameraAtRestError` if neighbouring frames, (N, h, w), differ by little but noise and level."""
-    if not pairs or np.median(changes(frames, pairs, pattern)) < MIN_CHANGE_SIGMAS:
+    pairs = [(k, other) for k, others in enumerate(neighbours) for other in others if other > k]
+    pairs = pairs or [(k, k + 1) for k in range(len(frames) - 1)]
+    if np.median(changes(frames, spread(pairs, len(frames)), pattern)) < MIN_CHANGE_SIGMAS:
         raise CameraAtRestError(AT_REST)

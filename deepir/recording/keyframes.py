@@ -74,17 +74,6 @@ class Keyframes:
         return self.subset(np.array(kept))
 
     @property
-    def pairs(self) -> list[tuple[int, int]]:
-        """Keyframes that show the same things displaced, by one spacing first, then by more."""
-        found = []
-        for times in range(1, GROUP_SIZE):
-            for i, (number, spacing) in enumerate(zip(self.numbers, self.spacings, strict=True)):
-                j = int(np.abs(self.numbers - number - times * spacing).argmin())
-                if j > i and abs(self.numbers[j] - number - times * spacing) <= spacing / 2:
-                    found.append((i, j))
-        return found or [(k, k + 1) for k in range(len(self.numbers) - 1)]
-
-    @property
     def neighbours(self) -> list[list[int]]:
         """Of each keyframe those that are one to three spacings away: they show the same things displaced."""
         apart = np.abs(self.numbers - self.numbers[:, None]) / self.spacings[:, None]

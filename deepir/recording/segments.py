@@ -14,10 +14,10 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads
+from deepir.multiview.pattern_gradients import contains_pattern, removes_more, sampled_gradients, slopes
 from deepir.recording.burst import CameraAtRestError
 from deepir.recording.estimate import SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes, spread
-from deepir.recording.pattern_gradients import contains_pattern, removes_more, sampled_gradients, slopes
 
 Array = np.ndarray[Any, Any]
 
@@ -201,8 +201,6 @@ def segment_at(segments: Sequence[Segment], number: int, frame: Array) -> Segmen
         if number <= here.last:
             return here
         if number < after.first:
-            bad = np.zeros(frame.shape, bool)
-            for each in (here, after):
-                bad |= each.estimate.bad_pixels if each.estimate else False
+            bad = np.any([each.estimate.bad_pixels for each in (here, after) if each.estimate], axis=0)
             return after if removes_more(here.correct(frame), after.correct(frame), bad) else here
     return segments[-1]

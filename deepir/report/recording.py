@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deepir.io.tone_mapping import PALETTES, WHITE_HOT
-from deepir.messages import labelled
+from deepir.messages import NOTES, by_importance, labelled
 from deepir.paths import printable
 from deepir.report.html import MAP_PALETTES, Verdict, colours, packed, warned, write_page
 
 if TYPE_CHECKING:
     from deepir.recording.correct import CorrectedRecording
+    from deepir.recording.estimate import SensorEstimate
 
 Array = np.ndarray[Any, Any]
 
@@ -48,28 +49,44 @@ def write_recording_report(
 def verdict(corrected: CorrectedRecording, unit: str) -> Verdict:
     """What was taken off and how sure that is; or what could not be told, and what to do."""
     estimate, bad = corrected.estimate, int(corrected.estimate.bad_pixels.sum())
-    filled = f"{bad} bad pixel{'s are' if bad > 1 else ' is'} filled in." if bad else "No pixel is bad."
+    notes = [f"{text[:1].upper()}{text[1:]}." for name, text in by_importance(corrected.messages) if name in NOTES]
+    filled = (
+        f"{bad} bad pixel{'s are' if bad > 1 else ' is'} filled in." if bad else "No dead or stuck pixel was found."
+    )
+    filled, sentence = " ".join([*notes, filled]), _taken_off(corrected, unit)
     if found := warned(corrected.messages):
-        return Verdict(found.severity, found.sentence, f"{_taken_off(corrected, unit)} {found.more} {filled}")
+        leads = _is_little(estimate) and found.severity == "care"
+        first, second = (sentence, found.sentence) if leads else (found.sentence, sentence)
+        return Verdict(found.severity, first, f"{second} {found.more} {filled}")
     if len(corrected.segments) > 1:
         filled += f" The pattern jumps {len(corrected.segments) - 1} time(s); each part has maps of its own."
     if not np.isfinite(estimate.motion_error):
         filled += " Near and far things move differently here, so that shading is less sure than fine detail."
-    return Verdict("good", _taken_off(corrected, unit), filled)
+    return Verdict("good", sentence, filled)
+
+
+def _is_little(estimate: SensorEstimate) -> bool:
+    """Whether the pattern is weaker than the noise of one frame."""
+    return estimate.pattern_deviations[0] < estimate.noise
 
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
-    (was, now), noise = corrected.estimate.pattern_deviations, corrected.estimate.noise
-    left = f"; about {now:.3g} {unit}".rstrip() + " is expected to be left." if np.isfinite(now) else "."
-    little = "There was little to correct, for it is weaker than the noise of one frame. " if was < noise else ""
-    return f"The fixed pattern was {was:.3g} {unit}".rstrip() + f" (standard deviation){left} {little}".rstrip()
+    was, now = corrected.estimate.pattern_deviations
+    whole = corrected.estimate.kept != "fine offset"
+    pattern = (
+        f"the {'' if whole else 'fine part of the '}fixed pattern was {was:.3g} {unit}".rstrip()
+        + " (standard deviation)"
+    )
+    if _is_little(corrected.estimate):
+        return f"There was little to correct: {pattern}, weaker than the noise of one frame."
+    left = f"; about {now:.3g} {unit}".rstrip() + " is expected to be left" if np.isfinite(now) else ""
+    return f"T{pattern[1:]}{left}{', less than the noise of one frame' * (now < corrected.estimate.noise)}."
 
 
 def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:
     was, now = corrected.estimate.pattern_deviations
     yield "fixed pattern before", f"{was:.3g} {unit}".rstrip()
-    if np.isfinite(now):
-        yield "expected to be left", f"{now:.2g} {unit}".rstrip()
+    yield "expected to be left", f"{now:.2g} {unit}".rstrip() if np.isfinite(now) else "not known"
     if np.isfinite(corrected.estimate.noise):
         yield "noise of one frame", f"{corrected.estimate.noise:.2g} {unit}".rstrip()
     if spread := float(corrected.estimate.gain.std()):

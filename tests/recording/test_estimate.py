@@ -8,9 +8,9 @@ from skimage import data
 import deepir
 from deepir.correct_recording import correct
 from deepir.errors import DataError
+from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, rounding_deviation
 from deepir.recording.displaced import fine_part
-from deepir.recording.pattern_gradients import gradient_consensus
 from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 
@@ -77,6 +77,14 @@ def test_the_pattern_of_a_camera_that_moves_is_found(walk, corrected):
     smooth = ndimage.gaussian_filter(found.offset - walk.fine, 6)  # the low-order part: not that of the scenes
     assert alike(smooth, walk.slow, good) > 0.95
     assert 0.8 < smooth.std() / walk.slow.std() < 1.2
+
+
+def test_a_person_who_walks_through_is_noted(walk, corrected):
+    frames = walk.frames.copy()
+    for k, frame in enumerate(frames):
+        frame[50:80, k : k + 8] += 300
+    messages = (corrected.estimate.messages, correct(frames).estimate.messages)
+    assert [any("moves by itself" in each for each in some) for some in messages] == [False, True]
 
 
 @pytest.mark.parametrize("way", ["sideways", pytest.param("tilts", marks=pytest.mark.slow)])

@@ -94,7 +94,6 @@ def test_another_pattern_is_noticed_and_learned_anew(walk, corrector):
         if corrector.status.correcting:
             break
     assert corrector.status.correcting
-
     corrected, fitted = [], []
     for frame in changed:
         corrected.append(corrector(frame))
@@ -102,7 +101,6 @@ def test_another_pattern_is_noticed_and_learned_anew(walk, corrector):
     noticed = fitted.index(False)
     assert noticed < 3 * CHECK_INTERVAL
     assert np.array_equal(corrected[noticed], changed[noticed].astype(np.float32))
-
     assert corrector.status.correcting
     scenes = walk.scenes[back_and_forth][-20:]
     assert left(corrected[-20:], scenes, walk) < 0.5 * left(changed[-20:], scenes, walk)
@@ -122,7 +120,6 @@ def test_new_maps_fade_in(walk):
             shown += [corrector(frame) for _ in range(FADE_LENGTH + 1)]
     before, after = shown[FADE_LENGTH], shown[-1]
     steps = [np.abs(later - earlier).max() for earlier, later in itertools.pairwise(shown[FADE_LENGTH:])]
-
     assert np.array_equal(after, Segment(0, 10, good).correct(frame))
     assert max(steps) < 1.1 * np.abs(after - before).max() / FADE_LENGTH
 

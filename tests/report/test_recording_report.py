@@ -35,12 +35,8 @@ class Recording:
         return frame - self.estimate.offset
 
 
-def told(**changes):
-    return verdict(Recording(**changes), "counts")
-
-
 def test_the_verdict_says_how_much_pattern_there_was_and_is():
-    found = told()
+    found = verdict(Recording(), "counts")
     assert found.severity == "good"
     assert re.fullmatch(
         r"The fixed pattern was [34]\.\d+ counts \(standard deviation\); about 0\.5 counts is expected to be left\.",
@@ -49,22 +45,32 @@ def test_the_verdict_says_how_much_pattern_there_was_and_is():
     assert found.more == "1 bad pixel is filled in."
 
 
-@pytest.mark.parametrize(("noise", "little"), [(8.0, True), (2.0, False), (np.nan, False)])
-def test_a_pattern_below_the_noise_of_one_frame_is_little_to_correct(noise, little):
-    assert ("little to correct" in told(noise=noise).sentence) == little
+NOT_SEPARATED = "the shading of the fixed pattern was not separated from the scenes"
+LEFT = {"messages": (Message("shading-stays", "it could not be separated"),), "offset_deviation": None}
 
 
-def test_what_was_left_comes_first():
-    left = Message("shading-stays", "it could not be separated")
-    found = told(messages=(left,), offset_deviation=None)
-    assert found.severity == "care"
-    assert "was not separated from the scenes" in found.sentence
-    assert "The fixed pattern was" in found.more
-    assert "Turn the camera both ways" in found.more
-
-
-def test_local_displacements_are_less_sure_of_shading():
-    assert "shading is less sure" in told(motion_error=np.inf).more
+@pytest.mark.parametrize(
+    ("changes", "severity", "first", "then"),
+    [
+        ({"noise": 8.0}, "good", "There was little to correct", ()),
+        ({"noise": 2.0}, "good", "The fixed pattern was", ()),
+        ({"noise": np.nan}, "good", "The fixed pattern was", ()),
+        (
+            LEFT,
+            "care",
+            f"Use this result with care: {NOT_SEPARATED}",
+            ("The fixed pattern was", "Turn the camera both ways"),
+        ),
+        (LEFT | {"noise": 8.0}, "care", "There was little to correct", (NOT_SEPARATED,)),
+        ({"messages": (Message("moving-object", "it moves"),)}, "good", "The fixed pattern was", ("It moves.",)),
+        ({"motion_error": np.inf}, "good", "The fixed pattern was", ("shading is less sure",)),
+    ],
+)
+def test_the_verdict_begins_with_what_matters_most(changes, severity, first, then):
+    found = verdict(Recording(**changes), "counts")
+    assert found.severity == severity
+    assert found.sentence.startswith(first)
+    assert all(each in found.more for each in then)
 
 
 def test_the_page_holds_frames_difference_and_maps(tmp_path, data):

@@ -41,20 +41,15 @@ CORRELATED_GRADIENTS = 4.0  # gradients of neighbouring pixels that are correlat
 RIDGE = 1e-6  # weak prior on a slope: without it, a part that is zero everywhere makes the system singular
 
 
-def shared_pattern(frames: Array, usable: Array) -> Array:
-    """The pattern that the gradients of frames share, (h, w), float32."""
-    level = np.float32(np.median(frames[:, ::4, ::4]))
-    return np.asarray(gradient_consensus(np.where(usable, frames, level), usable), np.float32)
-
-
 def gradient_consensus(frames: Array, usable: Array) -> Array:
-    """The offset (h, w), mean zero, whose gradients are those that frames share.
+    """The offset (h, w), mean zero, float32, whose gradients are those that frames share.
 
     Args:
         frames: (N, h, w), of different scenes, or of one that moves.
         usable: (N, h, w) bool, which samples count.
     """
-    frames = np.ascontiguousarray(frames, np.float32)
+    level = np.float32(np.median(frames[:, ::4, ::4]))
+    frames = np.ascontiguousarray(np.where(usable, frames, level), np.float32)
     good = np.ascontiguousarray(usable, np.uint8)
     variances = _gradient_variances(frames)
     gradients, weights = [], []
@@ -65,7 +60,7 @@ def gradient_consensus(frames: Array, usable: Array) -> Array:
         gradients.append(gradient)
         weights.append(weight)
     offset = _integrated(gradients, weights)
-    return np.asarray(offset - offset.mean())
+    return np.asarray(offset - offset.mean(), np.float32)
 
 
 def _gradient_variances(frames: Array) -> Array:
@@ -88,30 +83,34 @@ def sampled_gradients(frames: Array, stride_down: int, stride_across: int) -> Ar
 def _integrated(gradients: list[Array], weights: list[Array]) -> Array:
     """The map whose differences down and across are nearest to `gradients`; free edges."""
     height, width = gradients[0].shape[0] + 1, gradients[0].shape[1]
-    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in (height, width))
-    curvature = np.mean([weight.mean() for weight in weights]) * (y[:, None] + x)
-    curvature[0, 0] = np.inf  # the level stays zero
+    mean = np.mean([weight.mean() for weight in weights])
 
     def combined(edges: Sequence[Array]) -> Array:
         return np.ravel(sum(_adjoint(weights[axis] * edges[axis], axis) for axis in (0, 1)))
 
-    def normal(offset: Array) -> Array:
-        return combined([np.diff(offset.reshape(height, width), axis=axis) for axis in (0, 1)])
-
-    def precondition(rest: Array) -> Array:
-        spectrum = dctn(rest.reshape(height, width), norm="ortho", workers=-1) / curvature
-        return np.ravel(idctn(spectrum, norm="ortho", workers=-1))
-
     score = combined(gradients)
     solution = conjugate_gradient(
-        normal,
+        lambda offset: combined([np.diff(offset.reshape(height, width), axis=axis) for axis in (0, 1)]),
         score,
         np.zeros_like(score),
-        precondition=precondition,
+        precondition=lambda rest: np.ravel(_solved(rest.reshape(height, width))) / mean,
         tolerance=PCG_TOLERANCE,
         max_iterations=PCG_STEPS,
     )
     return np.asarray(solution).reshape(height, width)
+
+
+def poisson(gradients: Sequence[Array]) -> Array:
+    """The map (h, w), mean zero, whose differences down and across are nearest to `gradients`; free edges."""
+    return _solved(_adjoint(gradients[0], 0) + _adjoint(gradients[1], 1))
+
+
+def _solved(score: Array) -> Array:
+    """The solution (h, w), mean zero, of Poisson's equation with free edges, by the cosine transform."""
+    y, x = (2 - 2 * np.cos(np.pi * np.arange(side) / side) for side in score.shape)
+    curvature = y[:, None] + x
+    curvature[0, 0] = np.inf  # the level stays zero
+    return np.asarray(idctn(dctn(score, norm="ortho", workers=-1) / curvature, norm="ortho", workers=-1))
 
 
 def _adjoint(edges: Array, axis: int) -> Array:
@@ -138,8 +137,7 @@ def removes_more(corrected: Array, other: Array, bad: Array) -> bool:
 def _share_may_exceed(share: float, before: Array, after: Array, bad: Array, *, reweightings: int) -> bool:
     """Whether the share of the difference in the first frame exceeds `share`, within `SIGNIFICANCE` standard errors."""
     removed = before - after
-    known = ~bad & np.isfinite(removed)
-    (slope,), (error,) = shares(before[None], removed[None], known, reweightings=reweightings)
+    (slope,), (error,) = shares(before[None], removed[None], ~bad & np.isfinite(removed), reweightings=reweightings)
     return bool(slope + SIGNIFICANCE * error > share)
 
 
