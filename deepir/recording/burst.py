@@ -40,8 +40,8 @@ Array = np.ndarray[Any, Any]
 
 OUTLIER_SIGMAS = 3.0  # of residuals, scale of Cauchy's weights
 WEIGHT_SIGMA = 1.5  # px, Gaussian over which residuals are averaged that set weights
-#: Mean around a sample, in deviations of one, from which it shows what moves by itself. In 30 hand-held recordings
-#: (bench, seeds 0 to 2) up to 0.06 % of the samples exceed it where nothing moves, and 0.1 to 5 % where a person walks.
+#: Mean around a sample, in deviations of one, from which it shows what moves by itself. In 44 hand-held recordings
+#: (bench, seeds 0, 1 and 4) at most 0.014 % of the samples exceed it where nothing moves; with a person 0.1 to 5 %.
 OUTSTANDING = 4.0
 #: Variances of a step of the levels, relative to that of a sample's noise, of which the likeliest is taken.
 LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
