@@ -46,9 +46,9 @@ def gradient_consensus(frames: Array, usable: Array) -> Array:
 
     Args:
         frames: (N, h, w), of different scenes, or of one that moves.
-        usable: (N, h, w) bool, which samples count.
+        usable: (N, h, w) bool, which samples count; the others may be NaN.
     """
-    level = np.float32(np.median(frames[:, ::4, ::4]))
+    level = np.float32(np.nanmedian(frames[:, ::4, ::4]))
     frames = np.ascontiguousarray(np.where(usable, frames, level), np.float32)
     good = np.ascontiguousarray(usable, np.uint8)
     variances = _gradient_variances(frames)
