@@ -58,7 +58,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return found
 
 
-def parallel_for(loop: Callable[..., None], count: int, *arguments: Tensor | np.ndarray[Any, Any] | float) -> None:
+def parallel_for(loop: Callable[..., object], count: int, *arguments: Tensor | np.ndarray[Any, Any] | float) -> None:
     """`loop(first, last, *arguments)` on as many parts of `range(count)` as there are threads.
 
     On threads of Python's own, which sleep until they are needed. Of numba's, one pool does not outlive a fork, and

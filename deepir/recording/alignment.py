@@ -10,7 +10,8 @@ splines warp in both directions. Coordinates are px from the centre of a frame o
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,9 @@ import numpy as np
 from scipy import fft, ndimage
 
 from deepir.arrays.samples import MAD_TO_SIGMA
-from deepir.kernels.bspline import warp
+from deepir.kernels import bspline
 from deepir.kernels.compile import parallel_for
+from deepir.recording.homography import as_matrix, centred, homography_moments, homography_normal
 
 Array = np.ndarray[Any, Any]
 
@@ -33,6 +35,7 @@ PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to t
 MAX_STEPS, LAST_STEP = 6, 2e-2  # Gauss-Newton steps, at most; px, of the last one
 TURN = 3  # parameters of the motion of a camera that turns
 OUTLIER_SIGMAS = 2.0  # of residuals, scale of Cauchy's weights
+SCALE_STRIDE = 3  # px, between samples that the scale of the residuals is measured in
 
 
 class Canvas:
@@ -54,33 +57,54 @@ class Canvas:
 
     def move(self, motion: Array) -> None:
         """Replace the motion; the canvas keeps its size."""
-        self.motion = motion
-        self._to_canvas = np.ascontiguousarray(motion, np.float32)
-        self._to_frames = np.ascontiguousarray(np.linalg.inv(motion), np.float32)
+        self.motion = np.ascontiguousarray(motion, float)
+        self._to_frames: Array = np.linalg.inv(self.motion)
 
     def predicted(self, scene: Array) -> Array:
         """What frames (n, h, w) see of a scene (H, W)."""
-        return _warped(spline(scene)[None], self._to_canvas, self.size)
+        out = np.empty((len(self.motion), 1, *self.size), np.float32)
+        parallel_for(bspline.warp, self.size[0], spline(scene[None])[None], self.motion, out)
+        return out[:, 0]
+
+    def predicted_with_slopes(self, scene: Array) -> Array:
+        """The same, and the scene's slopes down and across there, (3, n, h, w)."""
+        out = np.empty((3, len(self.motion), *self.size), np.float32)
+        parallel_for(bspline.warp_with_slopes, self.size[0], spline(scene[None])[0], self.motion, out)
+        return out
 
     def spread(self, frames: Array) -> Array:
-        """Frames (n or 1, h, w) on the canvas, (n, H, W)."""
-        return _warped(np.stack([spline(each) for each in frames]), self._to_frames, self.shape)
+        """Frames (n or 1, h, w) on the canvas, (n, H, W); zero outside the frames."""
+        return self._spread(spline(frames))
 
     def spread_weights(self, weights: Array) -> Array:
         """Weights of samples (n, h, w) on the canvas, (n, H, W); zero outside the frames."""
         inner = np.zeros_like(weights)
         inside = np.s_[:, BORDER:-BORDER, BORDER:-BORDER]
         inner[inside] = weights[inside]
-        return _warped(inner, self._to_frames, self.shape)
+        return self._spread(inner)
 
-    def mean(self, frames: Array, spread_weights: Array) -> Array:
-        """Weighted mean (H, W) of frames (n or 1, h, w) on the canvas; zero where no frame counts."""
-        return weighted_mean(self.spread(frames), spread_weights)
+    def mean(self, coefficients: Array, spread_weights: Array) -> Array:
+        """Weighted mean (H, W), on the canvas, of frames (n or 1, h, w); zero where no frame counts.
+
+        Args:
+            coefficients: of the frames, see `spline`.
+            spread_weights: (n, H, W).
+        """
+        out = np.empty(self.shape, np.float32)
+        parallel_for(bspline.mean, self.shape[0], coefficients, spread_weights, self._to_frames, out)
+        return out
 
     def is_seen(self, spread_weights: Array) -> Array:
         """Samples (n, h, w) whose place on the canvas some frame shows, bool."""
-        known = (spread_weights.sum(0) > 0).astype(np.float32)
-        return np.asarray(_warped(known[None], self._to_canvas, self.size) > MIN_SEEN)
+        out = np.empty((len(self.motion), 1, *self.size), np.float32)
+        known = np.asarray((spread_weights > 0).any(0), np.float32)
+        parallel_for(bspline.warp, self.size[0], known[None, None], self.motion, out)
+        return np.asarray(out[:, 0] > MIN_SEEN)
+
+    def _spread(self, coefficients: Array) -> Array:
+        out = np.empty((len(self.motion), *self.shape), np.float32)
+        parallel_for(bspline.spread, self.shape[0], coefficients, self._to_frames, out)
+        return out
 
 
 def weighted_mean(values: Array, weights: Array) -> Array:
@@ -98,28 +122,31 @@ def project(motion: Array, y: Array, x: Array) -> tuple[Array, Array]:
     )
 
 
-def centred(size: Sequence[int]) -> tuple[Array, Array]:
-    """Rows and columns of a grid (h, w), px from its centre."""
-    y, x = np.indices(tuple(size), float)
-    return y - (size[0] - 1) / 2, x - (size[1] - 1) / 2
+def spline(images: Array) -> Array:
+    """Coefficients of the cubic splines through samples (N, h, w), float32."""
+    return _on_each(functools.partial(ndimage.spline_filter, order=3, mode="mirror"), images)
 
 
-def spline(values: Array) -> Array:
-    """Coefficients of the cubic spline through samples (h, w), float32."""
-    return np.asarray(ndimage.spline_filter(values, 3, output=np.float32, mode="mirror"))
+def smoothed(images: Array, sigma: float) -> Array:
+    """Means of images (N, h, w) under a Gaussian, px; float32."""
+    return _on_each(functools.partial(ndimage.gaussian_filter, sigma=sigma), images)
+
+
+def _on_each(function: Callable[..., Array], images: Array) -> Array:
+    out = np.empty(images.shape, np.float32)
+
+    def part(first: int, last: int) -> None:
+        for image, into in zip(images[first:last], out[first:last], strict=True):
+            function(image, output=into)
+
+    parallel_for(part, len(images))
+    return out
 
 
 def corners(motion: Array, size: Sequence[int]) -> Array:
     """Rows and columns (n, 2, 4) to which motion (n, 3, 3) takes the corners of frames (h, w)."""
     y, x = (each[:: size[0] - 1, :: size[1] - 1].ravel() for each in centred(size))
     return np.stack([np.stack(project(each, y, x)) for each in motion])
-
-
-def _warped(coefficients: Array, motion: Array, shape: tuple[int, int]) -> Array:
-    out = np.empty((len(motion), 1, *shape), np.float32)
-    scene = np.ascontiguousarray(coefficients[:, None], np.float32)
-    parallel_for(warp, shape[0], scene, motion, out)
-    return out[:, 0]
 
 
 @dataclass(frozen=True)
@@ -248,55 +275,55 @@ def refined_motion(
         free: parameters: 3 for a turn of the camera, 8 for a homography.
         curvature: of a turn, see `turned`.
     """
-    detail = frames - ndimage.gaussian_filter(frames, (0, REFINE_SIGMA, REFINE_SIGMA))
-    motion, around = canvas.motion.copy(), copy.copy(canvas)
-    y, x = (each.ravel() / (max(canvas.size) / 2) for each in centred(canvas.size))
+    detail = frames - smoothed(frames, REFINE_SIGMA)
+    coefficients, counts = spline(detail), (weights > 0).astype(np.float32)
+    basis = np.eye(8)[:free]
+    if free == TURN:
+        basis[:2, 6:] = curvature * np.eye(2)
+    motion, around, half = canvas.motion.copy(), copy.copy(canvas), max(canvas.size) / 2
+    steps: list[Array] = []
+    taken: list[Array] = []
     for _ in range(MAX_STEPS):
-        scene = around.mean(detail, spread_weights)
-        down, across = (around.predicted(each).reshape(len(motion), -1) for each in np.gradient(scene))
-        rest = (detail - around.predicted(scene)).reshape(len(motion), -1)
-        largest = 0.0
-        for k, (gy, gx, missing, weight) in enumerate(zip(down, across, rest, weights, strict=True)):
-            counts = weight.ravel() > 0
-            if not counts.any():
-                continue
-            scale = MAD_TO_SIGMA * float(np.median(np.abs(missing[counts]))) + np.finfo(np.float32).tiny
-            robust = counts / (1 + (missing / (OUTLIER_SIGMAS * scale)) ** 2)
-            each = motion_gradients(gy, gx, y, x)
-            if free == TURN:
-                each = [each[0] + curvature * each[6], each[1] + curvature * each[7], each[2]]
-            design = np.stack(each[:free])
-            weighted = design * robust
-            normal = weighted @ design.T
-            normal[np.diag_indices(free)] += 1e-9 * np.trace(normal) + np.finfo(np.float32).tiny
-            step = np.pad(np.linalg.solve(normal, weighted @ missing), (0, 8 - free))
-            if free == TURN:
-                step[6:] = curvature * step[:2]
-            motion[k] = motion[k] @ _as_matrix(step, max(canvas.size) / 2)
-            largest = max(largest, float(np.abs(step).max()))
+        shown, down, across = around.predicted_with_slopes(around.mean(coefficients, spread_weights))
+        rest = np.subtract(detail, shown, out=shown)
+        robust = _robust_weights(rest, counts)
+        normal = basis @ homography_normal(down, across, robust) @ basis.T
+        normal += (1e-9 * np.trace(normal, axis1=1, axis2=2) + np.finfo(np.float32).tiny)[:, None, None] * np.eye(free)
+        rest *= robust
+        score = homography_moments(down * rest, across * rest) @ basis.T
+        steps.append(np.linalg.solve(normal, score[..., None])[..., 0] @ basis)
+        taken.append(_accelerated(steps, taken))
+        motion = motion @ np.stack([as_matrix(each, half) for each in taken[-1]])
         around.move(motion)
-        spread_weights = around.spread_weights(weights)
-        if largest < LAST_STEP:
+        if np.abs(steps[-1]).max() < LAST_STEP:
             break
+        spread_weights = around.spread_weights(weights)
     return np.asarray(motion @ np.linalg.inv(motion[reference]))
 
 
-def motion_gradients(gy: Array, gx: Array, y: Array, x: Array) -> list[Array]:
-    """How a scene of a gradient changes with the eight parameters of a homography, at places in units of half a side.
+def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
+    """The change (n, 8) that takes the place of the last step: each step is of one frame, as if all others were right.
 
-    Shifts along x and y, turn, scale, stretch, shear, and the two of perspective; px at a distance of one.
+    Args:
+        steps: so far, (n, 8) each.
+        taken: the changes that took their place, but for the last.
+
+    Source: Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965.
     """
-    along = gx * x + gy * y
-    return [gx, gy, gy * x - gx * y, along, gx * x - gy * y, gx * y + gy * x, along * x, along * y]
+    if not taken:
+        return steps[-1]
+    changes = np.diff(np.stack(steps).reshape(len(steps), -1), axis=0)
+    share = np.linalg.lstsq(changes.T, steps[-1].ravel(), rcond=1e-3)[0]
+    return np.asarray(steps[-1] - (share @ (np.stack(taken).reshape(len(taken), -1) + changes)).reshape(-1, 8))
 
 
-def _as_matrix(step: Array, half: float) -> Array:
-    """The homography (3, 3) of a small step of its parameters, see `motion_gradients`."""
-    dx, dy, turn, scale, stretch, shear, over_x, over_y = step / half
-    return np.array(
-        [
-            [1 + scale + stretch, shear - turn, dx * half],
-            [shear + turn, 1 + scale - stretch, dy * half],
-            [-over_x / half, -over_y / half, 1],
-        ]
-    )
+def _robust_weights(rest: Array, counts: Array) -> Array:
+    """Cauchy's weights of residuals (n, h, w), by each frame's own scale; zero where a sample does not count."""
+    weights = np.zeros_like(rest)
+    some = np.s_[::SCALE_STRIDE, ::SCALE_STRIDE]
+    for each, counted, weight in zip(rest, counts, weights, strict=True):
+        known = np.abs(each[some][counted[some] > 0])
+        if known.size:
+            scale = OUTLIER_SIGMAS * MAD_TO_SIGMA * float(np.median(known)) + np.finfo(np.float32).tiny
+            weight[:] = counted / (1 + (each / np.float32(scale)) ** 2)
+    return weights

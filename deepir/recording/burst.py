@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA
 from deepir.errors import DataError
@@ -18,13 +17,14 @@ from deepir.recording.alignment import (
     Canvas,
     Links,
     Spectrum,
-    centred,
     corners,
-    motion_gradients,
     project,
     refined_motion,
+    smoothed,
+    spline,
 )
 from deepir.recording.defective_pixels import noise_deviation
+from deepir.recording.homography import centred, displacements, homography_moments, homography_normal
 from deepir.recording.modes import (
     LowOrderModes,
     NormalEquations,
@@ -39,7 +39,9 @@ from deepir.recording.modes import (
 Array = np.ndarray[Any, Any]
 
 OUTLIER_SIGMAS = 3.0  # of residuals, scale of Cauchy's weights
-WEIGHT_SIGMA = 1.5  # px, Gaussian over which residuals are averaged that set weights
+#: px, Gaussian over which residuals are averaged that set weights: those that change from pixel to pixel do not survive
+#: interpolation.
+WEIGHT_SIGMA = 1.5
 #: Mean around a sample, in deviations of one, from which it shows what moves by itself. In 44 hand-held recordings
 #: (bench, seeds 0, 1 and 4) at most 0.014 % of the samples exceed it where nothing moves; with a person 0.1 to 5 %.
 OUTSTANDING = 4.0
@@ -105,6 +107,8 @@ class Burst:
         self.noise, self.level_variance, self.inflation, self.motion_error = 1.0, 0.0, 1.0, 0.0
         self.level_variances: Sequence[float] = ()
         self.common_error = np.zeros(self.canvas.size)
+        half = max(self.canvas.size) / 2
+        self._displacements = displacements(*(each.astype(np.float32) / half for each in centred(self.canvas.size)))
 
     def enlarged(self, frames: Array, usable: Array, factor: int) -> Burst:
         """The burst of the frames (n, h, w) that this one has means of, over blocks of `factor` px."""
@@ -139,41 +143,38 @@ class Burst:
     def weigh(self, offset: Array, gain: Array, motion_error: float, *, robust: bool) -> None:
         """Set the noise, and the weights of the samples: by the noise, by errors of motion at edges, by outliers."""
         frames = self.corrected(offset, gain)
-        scene = self.canvas.mean(frames, self.spread_weights)
-        rest = frames - self.canvas.predicted(scene)
+        shown, down, across = self.canvas.predicted_with_slopes(self._scene(frames))
+        rest = frames - shown
         seen = self.usable * self.canvas.is_seen(self.spread_weights)
         some = np.s_[:, ::STRIDE, ::STRIDE]
         counted = np.abs(rest[some][seen[some] > 0])
         self.noise = max(MAD_TO_SIGMA * float(np.median(counted)) if counted.size else 0.0, 1e-6)
-        down, across = (self.canvas.predicted(each) for each in np.gradient(scene))
         steepness = down**2 + across**2
         self.motion_error = _motion_error(rest[some], steepness[some], seen[some] > 0)
-        variance = self.noise**2 + motion_error**2 * _smoothed(steepness)
+        variance = self.noise**2 + motion_error**2 * smoothed(steepness, WEIGHT_SIGMA)
         weights = seen / variance
         if robust:
-            weights = weights / (1 + _smoothed(rest**2) / (OUTLIER_SIGMAS**2 * variance))
+            weights = weights / (1 + smoothed(rest**2, WEIGHT_SIGMA) / (OUTLIER_SIGMAS**2 * variance))
         self.weights = weights.astype(np.float32)
         # A gain control sets the levels too.
         free = LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES
         self.level_variances = (free * self.noise**2).tolist()
-        y, x = (each.astype(np.float32) / (max(self.canvas.size) / 2) for each in centred(self.canvas.size))
         self.phase_change = phase_change(self.canvas.motion, self.canvas.size)
-        shown = dct(self.canvas.predicted(scene)[self.reference].astype(float))
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
-        power = group_power(shown, directional_groups(self.canvas.size))
+        power = group_power(dct(shown[self.reference].astype(float)), directional_groups(self.canvas.size))
         self.common_error = power * common**2 / self.phase_change
         least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
         self.tells = phase_change(_rigid(self.canvas.motion), self.canvas.size) > least
-        self._motions = np.stack(motion_gradients(down, across, y, x), 1)
-        normal = np.einsum("kihw,kjhw,khw->kij", self._motions, self._motions, self.weights, optimize=True)
-        self._motion_covariance = np.linalg.inv(normal.astype(float) + np.eye(8) / SHIFT_ERROR**2)
+        self._slopes = down, across
+        normal = homography_normal(down, across, self.weights)
+        self._motion_covariance = np.linalg.inv(normal + np.eye(8) / SHIFT_ERROR**2)
         self.spread_weights = self.canvas.spread_weights(self.weights)
 
     def compared(self, offset: Array, gain: Array) -> tuple[Array, Array]:
         """Frames (n, h, w) without pattern and level, and what the other samples of the scene expect of them."""
         frames = self.corrected(offset, gain)
-        expected = self.canvas.predicted(self.canvas.mean(frames, self.spread_weights))
+        expected = self.canvas.predicted(self._scene(frames))
         return frames, np.where(self.canvas.is_seen(self.spread_weights), expected, frames)
 
     def moving_share(self, rest: Array) -> float:
@@ -187,15 +188,17 @@ class Burst:
         apart = np.ma.masked_array(self.canvas.spread(rest), ~shown)
         apart -= np.ma.median(apart, axis=0)
         deviation = MAD_TO_SIGMA * np.ma.median(np.abs(apart), axis=0).filled(0.0)
-        moves = np.abs(_smoothed(apart.filled(0.0))) > OUTSTANDING * _smoothed(np.maximum(deviation, self.noise)[None])
+        usual = smoothed(np.maximum(deviation, self.noise)[None], WEIGHT_SIGMA)
+        moves = np.abs(smoothed(apart.filled(0.0), WEIGHT_SIGMA)) > OUTSTANDING * usual
         return float(moves[shown].sum() / max(shown.sum(), 1))
 
     def score(self, frames: Array) -> Array:
         """Sum (h, w) over frames (n or 1, h, w) of their weighted differences to their mean scene."""
-        scene = self.canvas.mean(frames, self.spread_weights)
-        rest = self.weights * (frames - self.canvas.predicted(scene))
-        moved = np.einsum("kij,kjhw,khw->ki", self._motion_covariance, self._motions, rest, optimize=True)
-        rest -= self.weights * np.einsum("ki,kihw->khw", moved.astype(np.float32), self._motions)
+        rest = self.weights * (frames - self.canvas.predicted(self._scene(frames)))
+        down, across = self._slopes
+        moved = np.einsum("kij,kj->ki", self._motion_covariance, homography_moments(down * rest, across * rest))
+        steps = np.tensordot(moved.astype(np.float32), self._displacements, 1)
+        rest -= self.weights * (down * steps[:, 0] + across * steps[:, 1])
         return np.asarray(rest.sum(0, dtype=float)) / self.inflation
 
     def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
@@ -209,6 +212,10 @@ class Burst:
             offset if self.gains_differ else None,
             with_motion=True,
         )
+
+    def _scene(self, frames: Array) -> Array:
+        """Mean (H, W) of frames (n or 1, h, w) on the canvas."""
+        return self.canvas.mean(spline(frames), self.spread_weights)
 
     def _places(self, block: int, k: int, seen: Array) -> tuple[Array, Array]:
         """Rows and columns of a frame, px, that blocks of the canvas show."""
@@ -227,11 +234,6 @@ def _motion_error(rest: Array, steepness: Array, seen: Array) -> float:
         return 0.0
     excess = float(np.median(rest[steep]) - np.median(rest[flat])) / CHI_SQUARED_MEDIAN
     return max(excess / float(np.median(steepness[steep])), 0.0) ** 0.5
-
-
-def _smoothed(values: Array) -> Array:
-    """Means (n, h, w) around each sample: weights that change from pixel to pixel do not survive interpolation."""
-    return np.asarray(ndimage.gaussian_filter(values, (0, WEIGHT_SIGMA, WEIGHT_SIGMA)))
 
 
 def _rigid(motion: Array) -> Array:
@@ -347,8 +349,8 @@ def _misfit(frames: Array, known: Array, motion: Array, reference: int, curvatur
     if not _is_near(canvas.motion, size):
         return np.inf
     weights = canvas.spread_weights(known)
-    detail = frames - ndimage.gaussian_filter(frames, (0, REFINE_SIGMA, REFINE_SIGMA))
-    rest = detail - canvas.predicted(canvas.mean(detail, weights))
+    detail = frames - smoothed(frames, REFINE_SIGMA)
+    rest = detail - canvas.predicted(canvas.mean(spline(detail), weights))
     return float(np.abs(rest)[canvas.is_seen(weights) & (known > 0)].mean())
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.kernels.compile import parallel_for
 from deepir.kernels.median_filter import median_filter
 
 Array = np.ndarray[Any, Any]
@@ -44,16 +45,23 @@ def defective_pixels(frames: Array, expected: Array, rounding: float = 0.0) -> A
         (h, w) bool.
     """
     apart = frames - expected
-    apart = apart - np.median(apart, axis=0)
-    deviation = MAD_TO_SIGMA * np.median(np.abs(apart), axis=0)
+    apart -= _median(apart)
+    deviation = MAD_TO_SIGMA * _median(np.abs(apart))
     usual = np.maximum(median_filter(deviation, NEIGHBOURHOOD), max(float(np.median(deviation)), rounding))
     usual = np.maximum(usual, np.finfo(np.float32).tiny)
-    constant = frames - np.median(frames, axis=0)
+    constant = frames - _median(frames)
     # Deviations within half a step of the rounding tell nothing. Cauchy's likelihood: what moves by itself, and edges,
     # are in few frames.
     unexplained = [np.maximum(np.abs(each) - 3**0.5 * rounding, 0) / usual for each in (apart, constant)]
     gain = np.log1p(unexplained[0] ** 2) - np.log1p(unexplained[1] ** 2)
     return np.asarray((gain.sum(0) > CLEAR) | (deviation > NOISE_RATIO * usual))
+
+
+def _median(frames: Array) -> Array:
+    """Over frames (N, h, w), of each pixel."""
+    found = np.empty(frames.shape[1:], frames.dtype)
+    parallel_for(lambda first, last: np.median(frames[:, first:last], 0, found[first:last]), len(found))
+    return found
 
 
 def of_neighbours(frames: Array) -> Array:

@@ -191,7 +191,7 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         frames, recorded = (each / contrasts[:, None, None] for each in (frames, recorded))
     factor = coarsening(size)
     small, known = _averaged(frames, usable, factor)
-    start = _averaged(gradient_consensus(frames, usable)[None], ~samples.bad[None], factor)[0][0]
+    start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
     found = find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ)
     if found is None:
         return None

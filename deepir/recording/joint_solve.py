@@ -22,7 +22,7 @@ from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior,
 
 Array = np.ndarray[Any, Any]
 
-ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating; from which the gain is free, as in large frames
+ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating, the last alone in large frames; from which the gain is free
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
@@ -94,7 +94,7 @@ def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | No
     fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
-    for number in range(FIRST_GAIN_ROUND if low_order else 0, ROUNDS):
+    for number in range(ROUNDS - 1 if low_order else 0, ROUNDS):
         burst.align(offset, gain, FREE_MOTION[number])
         burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
         told, found = burst.tells, dct(offset)

@@ -20,7 +20,8 @@ import numpy as np
 from scipy import fft, ndimage
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
-from deepir.recording.alignment import centred, motion_gradients, weighted_mean
+from deepir.recording.alignment import weighted_mean
+from deepir.recording.homography import centred, displacements
 
 Array = np.ndarray[Any, Any]
 
@@ -267,7 +268,7 @@ def low_order_equations(
     )
     own, half = [np.ones_like(y)], max(modes.size) / 2
     if with_motion:
-        own += motion_gradients(gy, gx, y / half, x / half)
+        own += [gy * down + gx * across for down, across in displacements(y / half, x / half)]
     per_frame, count = len(own) + (offset is not None), modes.count
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)
