@@ -24,7 +24,7 @@ from deepir.recording.alignment import (
     spline,
 )
 from deepir.recording.defective_pixels import noise_deviation
-from deepir.recording.homography import centred, displacements, homography_moments, homography_normal
+from deepir.recording.homography import centred
 from deepir.recording.modes import (
     LowOrderModes,
     NormalEquations,
@@ -47,7 +47,6 @@ WEIGHT_SIGMA = 1.5
 OUTSTANDING = 4.0
 #: Variances of a step of the levels, relative to that of a sample's noise, of which the likeliest is taken.
 LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
-SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
 #: Of the error of the motion, that all frames have in common: relative to the motion, the share of the scene that stays
 #: in the offset.
 COMMON_SHARE = 0.15
@@ -66,7 +65,7 @@ TRIAL_FRAMES = 8  # of a burst, that curvatures are tried on
 MIN_FRAMES = 4  # of a burst
 MIN_STEP = 0.5  # px: frames that moved by less since another one add nothing but an average
 AT_REST = (
-    "the camera stands still in most of the recording, or sees nothing but a uniform wall, so that scene and fixed "
+    "the camera stands still in most of the recording, or sees little but a wall or the sky, so that scene and fixed "
     "pattern cannot be separated. Move the camera over something with edges, or use maps of the same camera: those of "
     "another recording by deepir apply, those of a uniform wall by deepir calibrate"
 )
@@ -107,8 +106,6 @@ class Burst:
         self.noise, self.level_variance, self.inflation, self.motion_error = 1.0, 0.0, 1.0, 0.0
         self.level_variances: Sequence[float] = ()
         self.common_error = np.zeros(self.canvas.size)
-        half = max(self.canvas.size) / 2
-        self._displacements = displacements(*(each.astype(np.float32) / half for each in centred(self.canvas.size)))
 
     def enlarged(self, frames: Array, usable: Array, factor: int) -> Burst:
         """The burst of the frames (n, h, w) that this one has means of, over blocks of `factor` px."""
@@ -166,9 +163,6 @@ class Burst:
         self.common_error = power * common**2 / self.phase_change
         least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
         self.tells = phase_change(_rigid(self.canvas.motion), self.canvas.size) > least
-        self._slopes = down, across
-        normal = homography_normal(down, across, self.weights)
-        self._motion_covariance = np.linalg.inv(normal + np.eye(8) / SHIFT_ERROR**2)
         self.spread_weights = self.canvas.spread_weights(self.weights)
 
     def compared(self, offset: Array, gain: Array) -> tuple[Array, Array]:
@@ -195,10 +189,6 @@ class Burst:
     def score(self, frames: Array) -> Array:
         """Sum (h, w) over frames (n or 1, h, w) of their weighted differences to their mean scene."""
         rest = self.weights * (frames - self.canvas.predicted(self._scene(frames)))
-        down, across = self._slopes
-        moved = np.einsum("kij,kj->ki", self._motion_covariance, homography_moments(down * rest, across * rest))
-        steps = np.tensordot(moved.astype(np.float32), self._displacements, 1)
-        rest -= self.weights * (down * steps[:, 0] + across * steps[:, 1])
         return np.asarray(rest.sum(0, dtype=float)) / self.inflation
 
     def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
@@ -210,7 +200,6 @@ class Burst:
             functools.partial(self._places, modes.block),
             modes,
             offset if self.gains_differ else None,
-            with_motion=True,
         )
 
     def _scene(self, frames: Array) -> Array:

@@ -93,7 +93,7 @@ class DisplacedFrames:
             y, x = (block_sums(weight * each, modes.block)[seen] / total for each in self._at[k])
             return y, x
 
-        return low_order_equations(self._shown, self._weights, places, modes, with_motion=False)
+        return low_order_equations(self._shown, self._weights, places, modes)
 
 
 def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: Array) -> Array | None:

@@ -36,12 +36,6 @@ def centred(size: Sequence[int]) -> tuple[Array, Array]:
     return y - (size[0] - 1) / 2, x - (size[1] - 1) / 2
 
 
-def displacements(y: Array, x: Array) -> Array:
-    """By each parameter, at places in units of half a side, (8, 2, ...): down and across."""
-    powers = np.stack([np.stack([y**i * x**j for j in range(3)]) for i in range(3)])
-    return np.tensordot(POLYNOMIALS.astype(powers.dtype), powers, 2)
-
-
 def homography_moments(down: Array, across: Array) -> Array:
     """Sums (n, 8), over the displacements by each parameter, of a quantity (n, h, w), down and across."""
     moments = np.stack([_moments(each, 3) for each in (down, across)])

@@ -17,7 +17,7 @@ import numpy as np
 from scipy import linalg
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
-from deepir.recording.burst import SHIFT_ERROR, Burst
+from deepir.recording.burst import Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
 
 Array = np.ndarray[Any, Any]
@@ -236,13 +236,12 @@ def _nuisance(burst: LowOrderSystem, system: NormalEquations, modes: LowOrderMod
 
 
 def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
-    """Inverse covariance of the frames' unknowns: levels drift, motions are known, gains are near one."""
+    """Inverse covariance of the frames' unknowns: levels drift, gains are near one."""
     count = len(burst.levels)
     steps = np.diff(np.eye(count), axis=0)
     diagonal = np.zeros(count * per_frame)
     each = diagonal.reshape(count, per_frame)
     each[:, 0] = 1 / (100 * burst.noise**2 + 1e4 * burst.level_variance)
-    each[:, 1:9] = 1 / SHIFT_ERROR**2
     if burst.gains_differ:
         each[:, -1] = 1 / GAIN_SPREAD**2
     prior = np.diag(diagonal)

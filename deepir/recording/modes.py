@@ -5,9 +5,9 @@ the mode is a column or a row: rows and columns share electronics.
 
 A point of the scene that n frames show has one brightness: it is eliminated, and what is left are differences between
 the frames. Those are averaged over blocks of the canvas, so that the system of the modes of long periods, with the
-levels, motions and gains of the frames, is small and is solved exactly, with its posterior covariance. Motion and level
-are unknowns beside the offset: a slope of the offset looks like levels that follow the motion, and only the exact
-posterior knows which of them the data determine.
+levels and gains of the frames, is small and is solved exactly, with its posterior covariance. Levels are unknown beside
+the offset: a slope of the offset looks like levels that follow the motion, and only the exact posterior knows which of
+them the data determine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy import fft, ndimage
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.recording.alignment import weighted_mean
-from deepir.recording.homography import centred, displacements
+from deepir.recording.homography import centred
 
 Array = np.ndarray[Any, Any]
 
@@ -199,7 +199,7 @@ class LowOrderModes:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """`matrix @ unknowns = score` of K coefficients and, of each frame, level, motion and gain, as far as unknown.
+    """`matrix @ unknowns = score` of K coefficients and, of each frame, its level, and its gain if that is unknown.
 
     Attributes:
         matrix, score: (K + n p, K + n p) and (K + n p,).
@@ -245,8 +245,6 @@ def low_order_equations(
     places: Callable[[int, Array], tuple[Array, Array]],
     modes: LowOrderModes,
     offset: Array | None = None,
-    *,
-    with_motion: bool,
 ) -> NormalEquations:
     """The equations that frames give.
 
@@ -256,29 +254,23 @@ def low_order_equations(
         places: of a frame's number and a mask of blocks, the rows and columns in the frame that these blocks show, px.
         modes: of the offset.
         offset: (h, w), of the frames, if their gains are unknown; None: they are one.
-        with_motion: whether shift and turn of each frame are unknown.
     """
     block = modes.block
     scene = weighted_mean(frames, weights)
     weight, change = block_sums(weights, block), block_sums(weights * (frames - scene), block)
     change /= np.maximum(weight, np.finfo(float).tiny)
     seen = weight.sum(0) > MIN_WEIGHT * weight.sum(0).max()
-    y, x, bright, gy, gx = (
-        block_sums(each, block)[seen] / block**2 for each in (*centred(scene.shape), scene, *np.gradient(scene))
-    )
-    own, half = [np.ones_like(y)], max(modes.size) / 2
-    if with_motion:
-        own += [gy * down + gx * across for down, across in displacements(y / half, x / half)]
-    per_frame, count = len(own) + (offset is not None), modes.count
+    bright = block_sums(scene, block)[seen] / block**2
+    per_frame, count = 1 + (offset is not None), modes.count
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)
-    sums, moment, total = np.zeros((len(y), size)), np.zeros(len(y)), weight.sum(0)[seen]
+    sums, moment, total = np.zeros((len(bright), size)), np.zeros(len(bright)), weight.sum(0)[seen]
     shared, rows = np.s_[:count], []
     for k in range(len(frames)):
         inside = np.flatnonzero(weight[k][seen] > 0)
         at = [each[inside] for each in places(k, seen)]
         own_weight, values = weight[k][seen][inside], change[k][seen][inside]
-        columns = [each[inside] for each in own]
+        columns = [np.ones_like(values)]
         if offset is not None:
             columns.append(bright[inside] + ndimage.map_coordinates(offset, at, order=1, mode="nearest"))
         design, root = np.concatenate([modes.at(*at), np.stack(columns, 1)], 1), np.sqrt(own_weight)[:, None]
