@@ -301,62 +301,42 @@ def grad_displacement(first, last, gradient, scene, points, out):
 
 @compiled
 def _part(t, y, count, height, width):
-    """First and last plus one of `count` samples of a row that lie within the frame (`height`, `width`)."""
-    first, last = 0, count
-    while first < last and not _is_within(t, first - (count - 1) / 2, y, height, width):
-        first += 1
-    while last > first and not _is_within(t, last - (count + 1) / 2, y, height, width):
-        last -= 1
+    """First, and last plus one, of `count` samples of a row that lie within the frame (`height`, `width`)."""
+    first, last = count, 0
+    for j in range(count):
+        px, py, _, _ = _project(t, j - (count - 1) / 2, y)
+        if abs(px) <= (width - 1) / 2 and abs(py) <= (height - 1) / 2:
+            first, last = min(first, j), j + 1
     return first, last
 
 
 @compiled
-def _is_within(t, x, y, height, width):
-    px, py, _, _ = _project(t, x, y)
-    return abs(px) <= (width - 1) / 2 and abs(py) <= (height - 1) / 2
-
-
-@compiled
-def _combine_part(frame, t, i, first, last, count, at, ends, fx, fy, out):
-    """Samples [first, last) of `count` of a row, at `i` from the centre: the spline of the coefficients `frame`."""
-    n, (height, width), part = last - first, frame.shape, t.copy()
-    for row in part:
-        row[2] += row[0] * ((first + last - count) / 2)  # of the part's centre
-    _locate(part, i, height, width, at[:n], ends[:n], fx[:n], fy[:n])
-    _combine(frame.ravel(), width, at[:n], ends[:n], fx[:n], fy[:n], out[:n])
-
-
-@compiled
-def spread(first, last, frames, motion, out):
-    """Rows [first, last) of each canvas of `out` (N, H, W): the coefficients `frames` (1 or N, h, w), zero beyond."""
-    (height, width), (_, rows, columns) = frames.shape[1:], out.shape
-    at, ends = np.empty(columns, np.int32), np.empty(columns, np.int32)
-    fx, fy = np.empty(columns, out.dtype), np.empty(columns, out.dtype)
-    for k in range(len(out)):
-        for r in range(first, last):
-            i, row = r - (rows - 1) / 2, out[k, r]
-            start, end = _part(motion[k], i, columns, height, width)
-            row[:start], row[end:] = 0, 0
-            if start < end:
-                _combine_part(frames[k % len(frames)], motion[k], i, start, end, columns, at, ends, fx, fy, row[start:])
-
-
-@compiled
 def mean(first, last, frames, weights, motion, out):
-    """Rows [first, last) of the canvas `out` (H, W): the weighted mean of what `spread` gives; zero without weight."""
+    """Rows [first, last) of the canvas `out` (H, W): the weighted mean of frames, zero where none has weight.
+
+    Args:
+        first, last: rows.
+        frames: coefficients (1 or N, h, w).
+        weights: (N, H, W), zero beyond the frames.
+        motion: (N, 3, 3), from the canvas to the frames.
+        out: written.
+    """
     (height, width), (rows, columns) = frames.shape[1:], out.shape
-    at, ends = np.empty(columns, np.int32), np.empty(columns, np.int32)
-    fx, fy, values = np.empty((3, columns), out.dtype)
-    total = np.empty(columns, out.dtype)
+    at, ends = np.empty((2, columns), np.int32)
+    fx, fy, values, total = np.empty((4, columns), out.dtype)
     for r in range(first, last):
-        i, moment = r - (rows - 1) / 2, out[r]
+        y, moment = r - (rows - 1) / 2, out[r]
         moment[:], total[:] = 0, 0
         for k in range(len(weights)):
-            start, end = _part(motion[k], i, columns, height, width)
-            if start < end:
-                _combine_part(frames[k % len(frames)], motion[k], i, start, end, columns, at, ends, fx, fy, values)
+            start, end = _part(motion[k], y, columns, height, width)
+            n, t = end - start, motion[k].copy()
+            if n > 0:
+                for row in t:
+                    row[2] += row[0] * ((start + end - columns) / 2)  # of the part's centre
+                _locate(t, y, height, width, at[:n], ends[:n], fx[:n], fy[:n])
+                _combine(frames[k % len(frames)].ravel(), width, at[:n], ends[:n], fx[:n], fy[:n], values[:n])
                 weight, known, part = weights[k, r, start:end], total[start:end], moment[start:end]
-                for j in range(end - start):
+                for j in range(n):
                     known[j] += weight[j]
                     part[j] += weight[j] * values[j]
         for j in range(columns):

@@ -21,7 +21,6 @@ from scipy import fft, ndimage
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels import bspline
 from deepir.kernels.compile import parallel_for
-from deepir.recording.homography import as_matrix, centred, homography_moments, homography_normal
 
 Array = np.ndarray[Any, Any]
 
@@ -62,9 +61,7 @@ class Canvas:
 
     def predicted(self, scene: Array) -> Array:
         """What frames (n, h, w) see of a scene (H, W)."""
-        out = np.empty((len(self.motion), 1, *self.size), np.float32)
-        parallel_for(bspline.warp, self.size[0], spline(scene[None])[None], self.motion, out)
-        return out[:, 0]
+        return _warped(spline(scene[None]), self.motion, self.size)
 
     def predicted_with_slopes(self, scene: Array) -> Array:
         """The same, and the scene's slopes down and across there, (3, n, h, w)."""
@@ -73,15 +70,15 @@ class Canvas:
         return out
 
     def spread(self, frames: Array) -> Array:
-        """Frames (n or 1, h, w) on the canvas, (n, H, W); zero outside the frames."""
-        return self._spread(spline(frames))
+        """Frames (n or 1, h, w) on the canvas, (n, H, W)."""
+        return _warped(spline(frames), self._to_frames, self.shape)
 
     def spread_weights(self, weights: Array) -> Array:
         """Weights of samples (n, h, w) on the canvas, (n, H, W); zero outside the frames."""
         inner = np.zeros_like(weights)
         inside = np.s_[:, BORDER:-BORDER, BORDER:-BORDER]
         inner[inside] = weights[inside]
-        return self._spread(inner)
+        return _warped(inner, self._to_frames, self.shape)
 
     def mean(self, coefficients: Array, spread_weights: Array) -> Array:
         """Weighted mean (H, W), on the canvas, of frames (n or 1, h, w); zero where no frame counts.
@@ -96,15 +93,15 @@ class Canvas:
 
     def is_seen(self, spread_weights: Array) -> Array:
         """Samples (n, h, w) whose place on the canvas some frame shows, bool."""
-        out = np.empty((len(self.motion), 1, *self.size), np.float32)
         known = np.asarray((spread_weights > 0).any(0), np.float32)
-        parallel_for(bspline.warp, self.size[0], known[None, None], self.motion, out)
-        return np.asarray(out[:, 0] > MIN_SEEN)
+        return np.asarray(_warped(known[None], self.motion, self.size) > MIN_SEEN)
 
-    def _spread(self, coefficients: Array) -> Array:
-        out = np.empty((len(self.motion), *self.shape), np.float32)
-        parallel_for(bspline.spread, self.shape[0], coefficients, self._to_frames, out)
-        return out
+
+def _warped(coefficients: Array, motion: Array, shape: tuple[int, int]) -> Array:
+    """Images (n, *shape) of coefficients (n or 1, h, w), by motion (n, 3, 3) to these."""
+    out = np.empty((len(motion), 1, *shape), np.float32)
+    parallel_for(bspline.warp, shape[0], coefficients[:, None], motion, out)
+    return out[:, 0]
 
 
 def weighted_mean(values: Array, weights: Array) -> Array:
@@ -120,6 +117,12 @@ def project(motion: Array, y: Array, x: Array) -> tuple[Array, Array]:
         (motion[1, 0] * x + motion[1, 1] * y + motion[1, 2]) / depth,
         (motion[0, 0] * x + motion[0, 1] * y + motion[0, 2]) / depth,
     )
+
+
+def centred(size: Sequence[int]) -> tuple[Array, Array]:
+    """Rows and columns of a grid (h, w), px from its centre."""
+    y, x = np.indices(tuple(size), float)
+    return y - (size[0] - 1) / 2, x - (size[1] - 1) / 2
 
 
 def spline(images: Array) -> Array:
@@ -287,17 +290,16 @@ def refined_motion(
         shown, down, across = around.predicted_with_slopes(around.mean(coefficients, spread_weights))
         rest = np.subtract(detail, shown, out=shown)
         robust = _robust_weights(rest, counts)
-        normal = basis @ homography_normal(down, across, robust) @ basis.T
+        normal = basis @ _normal_of_steps(down, across, robust) @ basis.T
         normal += (1e-9 * np.trace(normal, axis1=1, axis2=2) + np.finfo(np.float32).tiny)[:, None, None] * np.eye(free)
         rest *= robust
-        score = homography_moments(down * rest, across * rest) @ basis.T
+        score = _moments_of_steps(down * rest, across * rest) @ basis.T
         steps.append(np.linalg.solve(normal, score[..., None])[..., 0] @ basis)
         taken.append(_accelerated(steps, taken))
-        motion = motion @ np.stack([as_matrix(each, half) for each in taken[-1]])
+        motion = motion @ np.stack([_as_matrix(each, half) for each in taken[-1]])
         around.move(motion)
         if np.abs(steps[-1]).max() < LAST_STEP:
             break
-        spread_weights = around.spread_weights(weights)
     return np.asarray(motion @ np.linalg.inv(motion[reference]))
 
 
@@ -312,9 +314,10 @@ def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
     """
     if not taken:
         return steps[-1]
-    changes = np.diff(np.stack(steps).reshape(len(steps), -1), axis=0)
-    share = np.linalg.lstsq(changes.T, steps[-1].ravel(), rcond=1e-3)[0]
-    return np.asarray(steps[-1] - (share @ (np.stack(taken).reshape(len(taken), -1) + changes)).reshape(-1, 8))
+    scale = 1 / np.maximum(np.linalg.norm(steps[-1], axis=1, keepdims=True), LAST_STEP)  # no frame outweighs the others
+    changes = np.diff(np.stack(steps), axis=0)
+    share = np.linalg.lstsq((scale * changes).reshape(len(taken), -1).T, (scale * steps[-1]).ravel(), rcond=1e-3)[0]
+    return np.asarray(steps[-1] - np.tensordot(share, np.stack(taken) + changes, 1))
 
 
 def _robust_weights(rest: Array, counts: Array) -> Array:
@@ -327,3 +330,58 @@ def _robust_weights(rest: Array, counts: Array) -> Array:
             scale = OUTLIER_SIGMAS * MAD_TO_SIGMA * float(np.median(known)) + np.finfo(np.float32).tiny
             weight[:] = counted / (1 + (each / np.float32(scale)) ** 2)
     return weights
+
+
+def _polynomials() -> Array:
+    """Displacements by each parameter of a homography, (8, 2, 3, 3): coefficients of powers of y and x.
+
+    Shifts along x and y, turn, scale, stretch, shear, and the two of perspective; px at half a side from the centre.
+    """
+    down = ["", "1", "x", "y", "-y", "x", "xy", "yy"]
+    across = ["1", "", "-y", "x", "x", "y", "xx", "xy"]
+    found = np.zeros((8, 2, 3, 3))
+    for k, each in enumerate(zip(down, across, strict=True)):
+        for axis, term in enumerate(each):
+            if term:
+                found[k, axis, term.count("y"), term.count("x")] = -1 if "-" in term else 1
+    return found
+
+
+POLYNOMIALS = _polynomials()
+
+
+def _moments_of_steps(down: Array, across: Array) -> Array:
+    """Sums (n, 8), over the displacements by each parameter, of a quantity (n, h, w), down and across."""
+    moments = np.stack([_moments(each, 3) for each in (down, across)])
+    return np.einsum("dnij,kdij->nk", moments, POLYNOMIALS)
+
+
+def _normal_of_steps(down: Array, across: Array, weights: Array) -> Array:
+    """Gauss-Newton's matrices (n, 8, 8), of a scene's slopes and the samples' weights, (n, h, w) each."""
+    cross = _moments(weights * down * across, 5)
+    moments = np.stack([_moments(weights * down**2, 5), cross, cross, _moments(weights * across**2, 5)])
+    powers = np.add.outer(np.arange(3), np.arange(3))
+    products = moments.reshape(2, 2, -1, 5, 5)[..., powers[:, :, None, None], powers]
+    return np.asarray(np.einsum("kdij,lepq,denipjq->nkl", POLYNOMIALS, POLYNOMIALS, products, optimize=True))
+
+
+def _moments(values: Array, orders: int) -> Array:
+    """Sums (n, orders, orders) of values (n, h, w) over powers of row and of column, in units of half a side."""
+    half = max(values.shape[1:]) / 2
+    rows, columns = (
+        np.power.outer((np.arange(side) - (side - 1) / 2) / half, np.arange(orders)).astype(values.dtype)
+        for side in values.shape[1:]
+    )
+    return (rows.T @ (values @ columns)).astype(float)
+
+
+def _as_matrix(step: Array, half: float) -> Array:
+    """The homography (3, 3) of a step of the parameters, px, in a frame of half a side, px."""
+    dx, dy, turn, scale, stretch, shear, over_x, over_y = step / half
+    return np.array(
+        [
+            [1 + scale + stretch, shear - turn, dx * half],
+            [shear + turn, 1 + scale - stretch, dy * half],
+            [-over_x / half, -over_y / half, 1],
+        ]
+    )

@@ -17,6 +17,7 @@ from deepir.recording.alignment import (
     Canvas,
     Links,
     Spectrum,
+    centred,
     corners,
     project,
     refined_motion,
@@ -24,7 +25,6 @@ from deepir.recording.alignment import (
     spline,
 )
 from deepir.recording.defective_pixels import noise_deviation
-from deepir.recording.homography import centred
 from deepir.recording.modes import (
     LowOrderModes,
     NormalEquations,

@@ -20,8 +20,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
-from deepir.recording.alignment import weighted_mean
-from deepir.recording.homography import centred
+from deepir.recording.alignment import centred, weighted_mean
 
 Array = np.ndarray[Any, Any]
 
