@@ -19,7 +19,7 @@ from deepir.fields.shading import Shading
 from deepir.kernels.block_means import block_means
 from deepir.multiview.gradients import AXES, ColouredPixels, Edges, WhiteParts, median_gradients
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
-from deepir.multiview.pattern_gradients import gradient_consensus
+from deepir.multiview.pattern_gradients import gradient_consensus, shares
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
 
 Array = np.ndarray[Any, Any]
@@ -33,11 +33,6 @@ SCENE_RATIO = 1.0
 #: Share of the frame that two frames of a camera at rest both show, at least, and upper quartile of its displacements,
 #: px, at most.
 SHARED, REST = 0.5, 1.0
-GAIN_ROUNDS = 10  # of reweighting
-#: Largest gradients of the pattern, in their root mean square, that count: of a defect they say nothing.
-GRADIENT_LIMIT = 6.0
-#: Gradients that say the same: those of neighbours.
-CORRELATED_GRADIENTS = 4.0
 #: Root mean square of (f_k - 1) in its standard errors, and by itself, from which frames have gains of their own.
 SIGNIFICANCE, MIN_SPREAD = 4.0, 0.05
 FIRST, ROUNDS = 3, 12  # of reweighting: those with the strengths as they start, and all
@@ -75,37 +70,17 @@ def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | Non
         usable: which samples count, same shape.
         pattern: what they share, (h, w).
     """
-    found = [pattern_gain(frame, good, pattern) for frame, good in zip(frames, usable, strict=True)]
-    gains, errors = torch.stack([each[0] for each in found]), torch.stack([each[1] for each in found])
-    if not bool((gains > SIGNIFICANCE * errors).all()):
+    known, parts = np.ones(pattern.shape, bool), pattern.numpy()[None]
+    each = [
+        shares(np.where(good, frame, np.nan)[None], parts, known) for frame, good in zip(frames, usable, strict=True)
+    ]
+    gains, errors = np.squeeze(each, 2).T
+    if not (gains > SIGNIFICANCE * errors).all():
         return None
-    gains = gains / gains.log().mean().exp()
-    apart = gains - gains.median()
-    spread = float((apart / errors).square().mean().sqrt())
-    return gains if spread > SIGNIFICANCE and float(apart.square().mean().sqrt()) > MIN_SPREAD else None
-
-
-def pattern_gain(frame: Tensor, usable: Tensor, pattern: Tensor) -> tuple[Tensor, Tensor]:
-    """How strong the pattern (h, w) is in a frame, and the standard error of that."""
-    steps, shared = [], []
-    for axis in AXES:
-        counts = usable.narrow(axis, 1, usable.shape[axis] - 1) & usable.narrow(axis, 0, usable.shape[axis] - 1)
-        steps.append(frame.double().diff(dim=axis)[counts])
-        shared.append(pattern.double().diff(dim=axis)[counts])
-    y, p = torch.cat(steps), torch.cat(shared)
-    bulk = p.abs() < GRADIENT_LIMIT * p.square().mean().sqrt()
-    y, p = y[bulk], p[bulk]
-    gain, weight = y.new_ones(()), torch.ones_like(y)
-    for _ in range(GAIN_ROUNDS):
-        gain = (weight * y * p).sum() / (weight * p * p).sum().clamp_min(1e-300)
-        rest = (y - gain * p).square()
-        weight = 1 / (rest.median().clamp_min(1e-300) + rest)
-    variance = (
-        CORRELATED_GRADIENTS
-        * (weight.square() * rest * p * p).sum()
-        / (weight * p * p).sum().square().clamp_min(1e-300)
-    )
-    return gain, variance.sqrt()
+    gains = gains / np.exp(np.log(gains).mean())
+    apart = gains - np.median(gains)
+    clear = np.mean((apart / errors) ** 2) > SIGNIFICANCE**2 and np.mean(apart**2) > MIN_SPREAD**2
+    return torch.from_numpy(gains).to(frames) if clear else None
 
 
 @torch.no_grad()
