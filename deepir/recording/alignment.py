@@ -284,8 +284,6 @@ def refined_motion(
     if free == TURN:
         basis[:2, 6:] = curvature * np.eye(2)
     motion, around, half = canvas.motion.copy(), copy.copy(canvas), max(canvas.size) / 2
-    steps: list[Array] = []
-    taken: list[Array] = []
     for _ in range(MAX_STEPS):
         shown, down, across = around.predicted_with_slopes(around.mean(coefficients, spread_weights))
         rest = np.subtract(detail, shown, out=shown)
@@ -294,30 +292,12 @@ def refined_motion(
         normal += (1e-9 * np.trace(normal, axis1=1, axis2=2) + np.finfo(np.float32).tiny)[:, None, None] * np.eye(free)
         rest *= robust
         score = _moments_of_steps(down * rest, across * rest) @ basis.T
-        steps.append(np.linalg.solve(normal, score[..., None])[..., 0] @ basis)
-        taken.append(_accelerated(steps, taken))
-        motion = motion @ np.stack([_as_matrix(each, half) for each in taken[-1]])
+        steps = np.linalg.solve(normal, score[..., None])[..., 0] @ basis
+        motion = motion @ np.stack([_as_matrix(step, half) for step in steps])
         around.move(motion)
-        if np.abs(steps[-1]).max() < LAST_STEP:
+        if np.abs(steps).max() < LAST_STEP:
             break
     return np.asarray(motion @ np.linalg.inv(motion[reference]))
-
-
-def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
-    """The change (n, 8) that takes the place of the last step: each step is of one frame, as if all others were right.
-
-    Args:
-        steps: so far, (n, 8) each.
-        taken: the changes that took their place, but for the last.
-
-    Source: Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965.
-    """
-    if not taken:
-        return steps[-1]
-    scale = 1 / np.maximum(np.linalg.norm(steps[-1], axis=1, keepdims=True), LAST_STEP)  # no frame outweighs the others
-    changes = np.diff(np.stack(steps), axis=0)
-    share = np.linalg.lstsq((scale * changes).reshape(len(taken), -1).T, (scale * steps[-1]).ravel(), rcond=1e-3)[0]
-    return np.asarray(steps[-1] - np.tensordot(share, np.stack(taken) + changes, 1))
 
 
 def _robust_weights(rest: Array, counts: Array) -> Array:

@@ -31,7 +31,7 @@ FREE_MOTION = (3, 3, 8, 8, 8)
 #: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
 INTERPOLATION_NOISE = 0.05
 STEPS = 3  # of conjugate gradients in a round
-UPDATES = 6  # of the strengths in a round
+UPDATES = 4  # of the strengths in a round
 GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
 GAIN_DEVIATION = 0.003  # of columns' and pixels' gain from one, to start from
 
