@@ -5,7 +5,8 @@ import pytest
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from deepir.recording.alignment import centred, project, turned
+from deepir.recording import alignment
+from deepir.recording.alignment import centred, project, spline, turned, weighted_mean
 from deepir.recording.burst import find_burst
 
 SIZE, HALF = (96, 128), 64.0
@@ -43,3 +44,28 @@ def test_the_curvature_of_a_pan_is_found(curvature):
     burst, numbers, _ = find_burst(frames, usable, 8, np.zeros(SIZE), gains_differ=False)
     assert burst.curvature == pytest.approx(curvature, abs=0.02)
     assert len(numbers) >= 12
+
+
+def test_the_equations_of_a_step_are_sums_over_what_it_moves():
+    down, across, weights = np.random.default_rng(0).normal(size=(3, 2, 12, 16))
+    y, x = centred((12, 16))
+    moved = [project(alignment._as_matrix(1e-6 * step, 8.0), y, x) for step in np.eye(8)]
+    change = np.stack([(down * (v - y) + across * (u - x)) / 1e-6 for v, u in moved])
+    normal = np.einsum("inyx,jnyx,nyx->nij", change, change, weights)
+    np.testing.assert_allclose(alignment._normal_of_steps(down, across, weights), normal, atol=1e-3)
+    score = np.einsum("inyx,nyx->ni", change, weights)
+    np.testing.assert_allclose(alignment._moments_of_steps(weights * down, weights * across), score, atol=1e-3)
+
+
+def test_the_mean_on_the_canvas_is_that_of_the_frames_there():
+    motion = np.stack([turned(np.array([shift, 0.3 * shift]), 0.1, 16.0) for shift in (-9.0, 0.0, 4.5)])
+    canvas, frames = alignment.Canvas(motion, (24, 32)), np.random.default_rng(1).normal(size=(3, 24, 32))
+    weights = canvas.spread_weights(np.ones(frames.shape, np.float32))
+    expected = weighted_mean(canvas.spread(frames), weights)
+    np.testing.assert_allclose(canvas.mean(spline(frames), weights), expected, atol=1e-5)
+    predicted, *slopes = canvas.predicted_with_slopes(expected)
+    np.testing.assert_array_equal(predicted, canvas.predicted(expected))
+    inner = np.s_[:, 4:-4, 4:-4]  # beyond its edge the canvas is flat
+    for step, slope in zip(np.array([[0, 2e-3], [2e-3, 0]]), slopes, strict=True):
+        canvas.move(turned(step, 0.0, 16.0) @ motion)
+        np.testing.assert_allclose((canvas.predicted(expected) - predicted)[inner] / 2e-3, slope[inner], atol=0.03)
