@@ -14,6 +14,7 @@ from torch import Tensor
 from deepir.arrays.statistics import robust_std
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
 from deepir.fields.sensor_maps import GaussianMap
+from deepir.multiview.pattern_gradients import gradient_consensus
 
 SHARE = 0.25  # what a gradient counts: its neighbours say much the same
 LEAST = 1e-6  # of a frame's squared scale, in that of the typical frame
@@ -43,7 +44,8 @@ class Edges:
         self.doubt = [frames.new_zeros(frames.shape[1:], dtype=torch.float64).diff(dim=axis) for axis in AXES]
         # The likelihood has many optima. From a pattern of zero a pixel far off its neighbours would stay there, for
         # all its gradients would count for little.
-        start = [torch.stack((torch.zeros_like(each), each)) for each in median_gradients(frames, usable)]
+        shared = torch.from_numpy(gradient_consensus(frames.numpy(), usable.numpy())).double()
+        start = [torch.stack((torch.zeros_like(shared), shared)).diff(dim=axis) for axis in AXES]
         #: Root mean square of the pattern's gradients at the start.
         self.typical = float(torch.cat([each[1].flatten() for each in start]).square().mean().sqrt())
         #: Squared scale of each frame's gradients.
@@ -143,18 +145,6 @@ class Edges:
             step, level = frame.diff(dim=axis), _ends(frame, axis) / 2 - self.level
             counts = _ends(self.usable[k].to(torch.uint8), axis) == 2
             yield step, level, (step - pattern - level * gain).square_().add_(doubt), counts
-
-
-def median_gradients(frames: Tensor, usable: Tensor) -> list[Tensor]:
-    """The median over frames (N, h, w) of the usable gradients along x and along y, float64; 0 where there are none."""
-    found = []
-    for axis in AXES:
-        counts = _ends(usable.to(torch.uint8), axis) == 2
-        ordered = torch.where(counts, frames.diff(dim=axis), torch.inf).sort(0).values
-        number = counts.sum(0, keepdim=True)
-        middle = [ordered.gather(0, index.clamp(min=0)) for index in ((number - 1) // 2, number // 2)]
-        found.append(torch.where(number > 0, middle[0] / 2 + middle[1] / 2, 0)[0].double())
-    return found
 
 
 def likeliest_tail(squares: Tensor, scale: float) -> tuple[float, float]:

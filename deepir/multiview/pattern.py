@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from scipy import ndimage
 from torch import Tensor
 
+from deepir.arrays.samples import pattern_outliers
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
 from deepir.kernels.block_means import block_means
-from deepir.multiview.gradients import AXES, ColouredPixels, Edges, WhiteParts, median_gradients
+from deepir.multiview.gradients import ColouredPixels, Edges, WhiteParts
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 from deepir.multiview.pattern_gradients import gradient_consensus, shares
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
@@ -40,7 +40,6 @@ DEGREE = 8  # of the polynomial that scenes share
 GAIN = 0.02  # what parts of the gain start with
 #: Variance of the scenes' mean slopes, in that between the scenes: 0 if they point anywhere, 1 and more under one sky.
 MEAN_SHARE = 0.5
-ISOLATED = 10.0  # median gradients by which a pixel differs from all four neighbours
 PRECISE, STEPS = 1e-4, 30  # of the optimum for given weights, from that for those before
 
 
@@ -144,23 +143,13 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
 
 
 def isolated_offsets(frames: Tensor, usable: Tensor) -> Tensor:
-    """Offsets (h, w) of single pixels far off all four neighbours in most frames; zero elsewhere.
+    """Offsets (h, w) of single pixels far off their neighbours in what frames (N, h, w) share; zero elsewhere.
 
-    A Gaussian prior, whatever its spectrum, would take most of them away. What is given is the least of the four
-    median differences to the neighbours, where these have one sign.
+    A Gaussian prior, whatever its spectrum, would take most of them away.
     """
-    offsets = frames.new_zeros(frames.shape[1:], dtype=torch.float64)
-    each = []
-    for axis, gradient in zip(AXES, median_gradients(frames, usable), strict=True):
-        ahead = F.pad(-gradient, (0, 1) if axis == -1 else (0, 0, 0, 1))
-        behind = F.pad(gradient, (1, 0) if axis == -1 else (0, 0, 1, 0))
-        each += [ahead, behind]
-    sides = torch.stack(each)
-    for sign in (1, -1):
-        least = (sign * sides).amin(0)
-        typical = sides.abs().median()
-        offsets += sign * torch.where(least > ISOLATED * typical, least, 0)
-    return offsets.to(frames.dtype)
+    shared = gradient_consensus(frames.numpy(), usable.numpy())
+    apart = shared - ndimage.median_filter(shared, 3)
+    return torch.from_numpy(np.where(pattern_outliers(shared, usable.any(0).numpy()), apart, 0)).to(frames)
 
 
 @torch.no_grad()

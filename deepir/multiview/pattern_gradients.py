@@ -83,7 +83,7 @@ def sampled_gradients(frames: Array, stride_down: int, stride_across: int) -> Ar
 def _integrated(gradients: list[Array], weights: list[Array]) -> Array:
     """The map whose differences down and across are nearest to `gradients`; free edges."""
     height, width = gradients[0].shape[0] + 1, gradients[0].shape[1]
-    mean = np.mean([weight.mean() for weight in weights])
+    mean = np.concatenate([weight.ravel() for weight in weights]).mean()
 
     def combined(edges: Sequence[Array]) -> Array:
         return np.ravel(sum(_adjoint(weights[axis] * edges[axis], axis) for axis in (0, 1)))

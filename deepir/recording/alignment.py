@@ -330,6 +330,12 @@ def _polynomials() -> Array:
 POLYNOMIALS = _polynomials()
 
 
+def step_gradients(gy: Array, gx: Array, y: Array, x: Array) -> Array:
+    """How a scene of slopes (gy, gx) changes with each parameter of a homography, (8, ...), at places in half sides."""
+    powers = np.stack([[y**i * x**j for j in range(3)] for i in range(3)])
+    return np.asarray(np.einsum("dp,kdij,ijp->kp", np.stack([gy, gx]), POLYNOMIALS, powers, optimize=True))
+
+
 def _moments_of_steps(down: Array, across: Array) -> Array:
     """Sums (n, 8), over the displacements by each parameter, of a quantity (n, h, w), down and across."""
     moments = np.stack([_moments(each, 3) for each in (down, across)])

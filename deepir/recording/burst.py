@@ -46,7 +46,7 @@ WEIGHT_SIGMA = 1.5
 #: (bench, seeds 0, 1 and 4) at most 0.014 % of the samples exceed it where nothing moves; with a person 0.1 to 5 %.
 OUTSTANDING = 4.0
 #: Variances of a step of the levels, relative to that of a sample's noise, of which the likeliest is taken.
-LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3, 2)
+LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
 #: Of the error of the motion, that all frames have in common: relative to the motion, the share of the scene that stays
 #: in the offset.
 COMMON_SHARE = 0.15
@@ -200,6 +200,7 @@ class Burst:
             functools.partial(self._places, modes.block),
             modes,
             offset if self.gains_differ else None,
+            with_motion=True,
         )
 
     def _scene(self, frames: Array) -> Array:

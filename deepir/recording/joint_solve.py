@@ -32,6 +32,7 @@ FREE_MOTION = (3, 3, 8, 8, 8)
 INTERPOLATION_NOISE = 0.05
 STEPS = 3  # of conjugate gradients in a round
 UPDATES = 4  # of the strengths in a round
+SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
 GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
 GAIN_DEVIATION = 0.003  # of columns' and pixels' gain from one, to start from
 
@@ -236,12 +237,13 @@ def _nuisance(burst: LowOrderSystem, system: NormalEquations, modes: LowOrderMod
 
 
 def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
-    """Inverse covariance of the frames' unknowns: levels drift, gains are near one."""
+    """Inverse covariance of the frames' unknowns: levels drift, motions are known, gains are near one."""
     count = len(burst.levels)
     steps = np.diff(np.eye(count), axis=0)
     diagonal = np.zeros(count * per_frame)
     each = diagonal.reshape(count, per_frame)
     each[:, 0] = 1 / (100 * burst.noise**2 + 1e4 * burst.level_variance)
+    each[:, 1:9] = 1 / SHIFT_ERROR**2
     if burst.gains_differ:
         each[:, -1] = 1 / GAIN_SPREAD**2
     prior = np.diag(diagonal)

@@ -5,9 +5,9 @@ the mode is a column or a row: rows and columns share electronics.
 
 A point of the scene that n frames show has one brightness: it is eliminated, and what is left are differences between
 the frames. Those are averaged over blocks of the canvas, so that the system of the modes of long periods, with the
-levels and gains of the frames, is small and is solved exactly, with its posterior covariance. Levels are unknown beside
-the offset: a slope of the offset looks like levels that follow the motion, and only the exact posterior knows which of
-them the data determine.
+levels, motions and gains of the frames, is small and is solved exactly, with its posterior covariance. Motion and level
+are unknowns beside the offset: a slope of the offset looks like levels that follow the motion, and only the exact
+posterior knows which of them the data determine.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
-from deepir.recording.alignment import centred, weighted_mean
+from deepir.recording.alignment import centred, step_gradients, weighted_mean
 
 Array = np.ndarray[Any, Any]
 
@@ -198,7 +198,7 @@ class LowOrderModes:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """`matrix @ unknowns = score` of K coefficients and, of each frame, its level, and its gain if that is unknown.
+    """`matrix @ unknowns = score` of K coefficients and, of each frame, level, motion and gain, as far as unknown.
 
     Attributes:
         matrix, score: (K + n p, K + n p) and (K + n p,).
@@ -244,6 +244,8 @@ def low_order_equations(
     places: Callable[[int, Array], tuple[Array, Array]],
     modes: LowOrderModes,
     offset: Array | None = None,
+    *,
+    with_motion: bool = False,
 ) -> NormalEquations:
     """The equations that frames give.
 
@@ -253,14 +255,19 @@ def low_order_equations(
         places: of a frame's number and a mask of blocks, the rows and columns in the frame that these blocks show, px.
         modes: of the offset.
         offset: (h, w), of the frames, if their gains are unknown; None: they are one.
+        with_motion: whether an error of each frame's motion is unknown, a step of a homography.
     """
     block = modes.block
     scene = weighted_mean(frames, weights)
     weight, change = block_sums(weights, block), block_sums(weights * (frames - scene), block)
     change /= np.maximum(weight, np.finfo(float).tiny)
     seen = weight.sum(0) > MIN_WEIGHT * weight.sum(0).max()
-    bright = block_sums(scene, block)[seen] / block**2
-    per_frame, count = 1 + (offset is not None), modes.count
+    y, x, bright, gy, gx = (
+        block_sums(each, block)[seen] / block**2 for each in (*centred(scene.shape), scene, *np.gradient(scene))
+    )
+    half = max(modes.size) / 2
+    own = [np.ones_like(y), *(step_gradients(gy, gx, y / half, x / half) if with_motion else ())]
+    per_frame, count = len(own) + (offset is not None), modes.count
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)
     sums, moment, total = np.zeros((len(bright), size)), np.zeros(len(bright)), weight.sum(0)[seen]
@@ -269,7 +276,7 @@ def low_order_equations(
         inside = np.flatnonzero(weight[k][seen] > 0)
         at = [each[inside] for each in places(k, seen)]
         own_weight, values = weight[k][seen][inside], change[k][seen][inside]
-        columns = [np.ones_like(values)]
+        columns = [each[inside] for each in own]
         if offset is not None:
             columns.append(bright[inside] + ndimage.map_coordinates(offset, at, order=1, mode="nearest"))
         design, root = np.concatenate([modes.at(*at), np.stack(columns, 1)], 1), np.sqrt(own_weight)[:, None]
