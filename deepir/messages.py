@@ -133,9 +133,9 @@ WARNINGS = {
         "Where you see shading: Turn the camera both ways, sideways and up and down.",
     ),
     "camera-turns-one-way": (
-        "Where the scene moves along one axis only, the shading of the sensor along the other axis is the same in all "
-        "frames, as is that of the scene. It stays in the recording.",
-        "Turn the camera along the other axis too.",
+        "The camera turned along one axis only: shading along the other one was not separated from the scene, and was "
+        "left as it was.",
+        "Turn the camera sideways, and tilt it too.",
     ),
     "few-frames": (
         "A few frames hardly separate the pattern of single pixels from the scenes.",

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from deepir.baselines.rival import Array, estimate_mean_offset, estimate_offset, last_of, rival
 from deepir.kernels.block_means import block_means
-from deepir.multiview.pattern_gradients import poisson
+from deepir.multiview.pattern_gradients import difference_adjoint, poisson
 
 STEP_LENGTH = 1.0  # largest change of a pixel by the first frame, in typical gradients
 TV_SMOOTHING = 0.1  # smoothing of the total variation at zero, in typical gradients
@@ -64,14 +64,9 @@ def offsets_over_time(frames: Array) -> Iterator[Array]:
         slope = np.zeros_like(offset)
         for axis in (-1, -2):
             gradient = np.diff(frame - offset, axis=axis)
-            slope += _adjoint(gradient / np.hypot(gradient, TV_SMOOTHING * typical), axis)
+            slope += difference_adjoint(gradient / np.hypot(gradient, TV_SMOOTHING * typical), axis)
         offset += STEP_LENGTH * typical / np.sqrt(k + 1) * slope / 4
         yield offset - offset.mean()
-
-
-def _adjoint(edges: Array, axis: int) -> Array:
-    """The adjoint of differences along an axis."""
-    return -np.diff(edges, axis=axis, prepend=0, append=0)
 
 
 @rival("low_order_bias", estimate_mean_offset)

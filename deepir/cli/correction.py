@@ -94,7 +94,8 @@ def _describe(corrected: CorrectedRecording) -> None:
         for each in segments:
             echo(f"  {each.description}")
     known, bad = len(corrected.keyframes.frames), int(corrected.estimate.bad_pixels.sum())
-    echo(f"correction: {corrected.estimate.kept}, from {known} of {len(corrected)} frames; {bad} bad pixels")
+    pixels = f"{bad} bad pixel{'s' * (bad != 1)}"
+    echo(f"correction: {corrected.estimate.kept}, from {known} of {len(corrected)} frames; {pixels}")
     for line in labelled(corrected.messages):
         notify(line)
 

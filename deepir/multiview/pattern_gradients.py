@@ -86,7 +86,7 @@ def _integrated(gradients: list[Array], weights: list[Array]) -> Array:
     mean = np.concatenate([weight.ravel() for weight in weights]).mean()
 
     def combined(edges: Sequence[Array]) -> Array:
-        return np.ravel(sum(_adjoint(weights[axis] * edges[axis], axis) for axis in (0, 1)))
+        return np.ravel(sum(difference_adjoint(weights[axis] * edges[axis], axis) for axis in (0, 1)))
 
     score = combined(gradients)
     solution = conjugate_gradient(
@@ -102,7 +102,7 @@ def _integrated(gradients: list[Array], weights: list[Array]) -> Array:
 
 def poisson(gradients: Sequence[Array]) -> Array:
     """The map (h, w), mean zero, whose differences down and across are nearest to `gradients`; free edges."""
-    return _solved(_adjoint(gradients[0], 0) + _adjoint(gradients[1], 1))
+    return _solved(difference_adjoint(gradients[0], 0) + difference_adjoint(gradients[1], 1))
 
 
 def _solved(score: Array) -> Array:
@@ -113,8 +113,8 @@ def _solved(score: Array) -> Array:
     return np.asarray(idctn(dctn(score, norm="ortho", workers=-1) / curvature, norm="ortho", workers=-1))
 
 
-def _adjoint(edges: Array, axis: int) -> Array:
-    """The adjoint of differences along an axis."""
+def difference_adjoint(edges: Array, axis: int) -> Array:
+    """The adjoint of `np.diff` along an axis."""
     return np.asarray(-np.diff(edges, axis=axis, prepend=0, append=0))
 
 

@@ -66,8 +66,8 @@ MIN_FRAMES = 4  # of a burst
 MIN_STEP = 0.5  # px: frames that moved by less since another one add nothing but an average
 AT_REST = (
     "the camera stands still in most of the recording, or sees little but a wall or the sky, so that scene and fixed "
-    "pattern cannot be separated. Move the camera over something with edges, or use maps of the same camera: those of "
-    "another recording by deepir apply, those of a uniform wall by deepir calibrate"
+    "pattern cannot be separated. Move the camera over something with edges, or apply (deepir apply) the maps that "
+    "another recording of this camera gave, or one of a uniform wall (deepir calibrate)"
 )
 
 

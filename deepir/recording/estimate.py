@@ -318,8 +318,8 @@ def _messages(tells: Array, moving: float) -> Iterator[str]:
     if moving > MIN_MOVING:
         yield Message(
             "moving-object",
-            f"something moves by itself, as a person or a car: {moving:.1%} of the samples show it. It stays, and the "
-            "correction does not rest on it",
+            f"something moves by itself, as a person or a car does: {moving:.1%} of the values show it. It is kept, "
+            "and counts little in the correction",
         )
 
 

@@ -71,22 +71,21 @@ def _is_little(estimate: SensorEstimate) -> bool:
 
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
-    was, now = corrected.estimate.pattern_deviations
-    whole = corrected.estimate.kept != "fine offset"
-    pattern = (
-        f"the {'' if whole else 'fine part of the '}fixed pattern was {was:.3g} {unit}".rstrip()
-        + " (standard deviation)"
-    )
+    (was, now), noise = corrected.estimate.pattern_deviations, corrected.estimate.noise
+    what = "the fine part of a" if corrected.estimate.kept == "fine offset" else "a"
+    removed = f"{what} fixed pattern of {was:.3g} {unit}".rstrip() + " (standard deviation) was removed"
     if _is_little(corrected.estimate):
-        return f"There was little to correct: {pattern}, weaker than the noise of one frame."
-    left = f"; about {now:.3g} {unit}".rstrip() + " is expected to be left" if np.isfinite(now) else ""
-    return f"T{pattern[1:]}{left}{', less than the noise of one frame' * (now < corrected.estimate.noise)}."
+        return f"There was little to correct: {removed}, weaker than the noise of one frame."
+    if np.isfinite(now):
+        removed += f"; about {now:.2g} {unit}".rstrip() + " may be left"
+        removed += ", less than the noise of one frame" * bool(now < noise)
+    return f"{removed[0].upper()}{removed[1:]}."
 
 
 def _figures(corrected: CorrectedRecording, unit: str) -> Iterator[tuple[str, str]]:
     was, now = corrected.estimate.pattern_deviations
-    yield "fixed pattern before", f"{was:.3g} {unit}".rstrip()
-    yield "expected to be left", f"{now:.2g} {unit}".rstrip() if np.isfinite(now) else "not known"
+    yield "fixed pattern removed", f"{was:.3g} {unit}".rstrip()
+    yield "may be left", f"{now:.2g} {unit}".rstrip() if np.isfinite(now) else "not known"
     if np.isfinite(corrected.estimate.noise):
         yield "noise of one frame", f"{corrected.estimate.noise:.2g} {unit}".rstrip()
     if spread := float(corrected.estimate.gain.std()):

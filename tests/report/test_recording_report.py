@@ -39,7 +39,7 @@ def test_the_verdict_says_how_much_pattern_there_was_and_is():
     found = verdict(Recording(), "counts")
     assert found.severity == "good"
     assert re.fullmatch(
-        r"The fixed pattern was [34]\.\d+ counts \(standard deviation\); about 0\.5 counts is expected to be left\.",
+        r"A fixed pattern of [34]\.\d+ counts \(standard deviation\) was removed; about 0\.5 counts may be left\.",
         found.sentence,
     )
     assert found.more == "1 bad pixel is filled in."
@@ -53,17 +53,17 @@ LEFT = {"messages": (Message("shading-stays", "it could not be separated"),), "o
     ("changes", "severity", "first", "then"),
     [
         ({"noise": 8.0}, "good", "There was little to correct", ()),
-        ({"noise": 2.0}, "good", "The fixed pattern was", ()),
-        ({"noise": np.nan}, "good", "The fixed pattern was", ()),
+        ({"noise": 2.0}, "good", "A fixed pattern of", ()),
+        ({"noise": np.nan}, "good", "A fixed pattern of", ()),
         (
             LEFT,
             "care",
             f"Use this result with care: {NOT_SEPARATED}",
-            ("The fixed pattern was", "Turn the camera both ways"),
+            ("A fixed pattern of", "Turn the camera both ways"),
         ),
         (LEFT | {"noise": 8.0}, "care", "There was little to correct", (NOT_SEPARATED,)),
-        ({"messages": (Message("moving-object", "it moves"),)}, "good", "The fixed pattern was", ("It moves.",)),
-        ({"motion_error": np.inf}, "good", "The fixed pattern was", ("shading is less sure",)),
+        ({"messages": (Message("moving-object", "it moves"),)}, "good", "A fixed pattern of", ("It moves.",)),
+        ({"motion_error": np.inf}, "good", "A fixed pattern of", ("shading is less sure",)),
     ],
 )
 def test_the_verdict_begins_with_what_matters_most(changes, severity, first, then):
