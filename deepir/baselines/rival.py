@@ -39,8 +39,7 @@ def rival(name: str, how: Callable[[Burst, Config, Callable[..., Any]], Result])
     Args:
         name: Name of the method.
         how: What the function is given, and how the burst is corrected by what it returns: `correct_frames`,
-            `estimate_pattern`, `estimate_offset`, `estimate_mean_offset`, `estimate_registered_pattern` or
-            `estimate_scene`.
+            `estimate_pattern`, `estimate_offset`, `estimate_registered_pattern` or `estimate_scene`.
 
     Returns:
         The decorator; keyword-only arguments of the function are the options of the method.
@@ -74,12 +73,11 @@ def estimate_pattern(burst: Burst, config: Config, estimate: Callable[[Array], t
 
 def estimate_offset(burst: Burst, config: Config, estimate: Callable[[Array], Array]) -> Result:
     """Subtract the offset (h, w) of frames (N, h, w), then as `average`; the gain stays one."""
-    return subtract_and_average(burst, config, estimate(burst.frames))
-
-
-def estimate_mean_offset(burst: Burst, config: Config, estimate: Callable[[Array], Array]) -> Result:
-    """Subtract the mean of the offsets (h, w) of each frame (h, w) by itself, then as `average`; the gain stays one."""
-    return subtract_and_average(burst, config, np.mean([estimate(frame) for frame in filled_frames(burst)], axis=0))
+    offset = estimate(burst.frames)
+    offset = (offset - offset[~burst.bad_pixels].mean()).astype(np.float32)
+    result = average(dataclasses.replace(burst, frames=(burst.frames - offset).astype(np.float32)), config)
+    result.offset = offset
+    return result
 
 
 def estimate_registered_pattern(
@@ -104,15 +102,6 @@ def estimate_scene(
     if motion is not None:
         valid = (burst.valid & ~burst.bad_pixels)[used]
         result.scene = estimate(burst.frames[used], valid, motion[used].numpy(), result.scene.shape)
-    return result
-
-
-def subtract_and_average(burst: Burst, config: Config, offset: Array) -> Result:
-    """Subtract an offset (h, w) from the frames, then as `average`."""
-    offset = offset - offset[~burst.bad_pixels].mean()
-    frames = (burst.frames - offset).astype(np.float32)
-    result = average(dataclasses.replace(burst, frames=frames), config)
-    result.offset = offset.astype(np.float32)
     return result
 
 

@@ -69,11 +69,8 @@ def frame_gains(frames: Tensor, usable: Tensor, pattern: Tensor) -> Tensor | Non
         usable: which samples count, same shape.
         pattern: what they share, (h, w).
     """
-    known, parts = np.ones(pattern.shape, bool), pattern.numpy()[None]
-    each = [
-        shares(np.where(good, frame, np.nan)[None], parts, known) for frame, good in zip(frames, usable, strict=True)
-    ]
-    gains, errors = np.squeeze(each, 2).T
+    parts, masked = pattern.numpy()[None], torch.where(usable, frames, torch.nan).numpy()
+    gains, errors = np.squeeze([shares(each[None], parts, np.ones_like(parts[0], bool)) for each in masked], 2).T
     if not (gains > SIGNIFICANCE * errors).all():
         return None
     gains = gains / np.exp(np.log(gains).mean())

@@ -279,11 +279,12 @@ def refined_motion(
         curvature: of a turn, see `turned`.
     """
     detail = frames - smoothed(frames, REFINE_SIGMA)
-    coefficients, counts = spline(detail), (weights > 0).astype(np.float32)
-    basis = np.eye(8)[:free]
+    coefficients, counts, basis = spline(detail), (weights > 0).astype(np.float32), np.eye(8)[:free]
     if free == TURN:
         basis[:2, 6:] = curvature * np.eye(2)
     motion, around, half = canvas.motion.copy(), copy.copy(canvas), max(canvas.size) / 2
+    steps: list[Array] = []
+    taken: list[Array] = []
     for _ in range(MAX_STEPS):
         shown, down, across = around.predicted_with_slopes(around.mean(coefficients, spread_weights))
         rest = np.subtract(detail, shown, out=shown)
@@ -292,12 +293,30 @@ def refined_motion(
         normal += (1e-9 * np.trace(normal, axis1=1, axis2=2) + np.finfo(np.float32).tiny)[:, None, None] * np.eye(free)
         rest *= robust
         score = _moments_of_steps(down * rest, across * rest) @ basis.T
-        steps = np.linalg.solve(normal, score[..., None])[..., 0] @ basis
-        motion = motion @ np.stack([_as_matrix(step, half) for step in steps])
+        steps.append(np.linalg.solve(normal, score[..., None])[..., 0] @ basis)
+        taken.append(_accelerated(steps, taken))
+        motion = motion @ np.stack([_as_matrix(each, half) for each in taken[-1]])
         around.move(motion)
-        if np.abs(steps).max() < LAST_STEP:
+        if np.abs(steps[-1]).max() < LAST_STEP:
             break
     return np.asarray(motion @ np.linalg.inv(motion[reference]))
+
+
+def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
+    """The change (n, 8) that takes the place of the last step: each step is of one frame, as if all others were right.
+
+    Args:
+        steps: so far, (n, 8) each.
+        taken: the changes that took their place, but for the last.
+
+    Source: Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965.
+    """
+    if not taken:
+        return steps[-1]
+    scale = 1 / np.maximum(np.linalg.norm(steps[-1], axis=1, keepdims=True), LAST_STEP)  # no frame outweighs the others
+    changes = np.diff(np.stack(steps), axis=0)
+    share = np.linalg.lstsq((scale * changes).reshape(len(taken), -1).T, (scale * steps[-1]).ravel(), rcond=1e-3)[0]
+    return np.asarray(steps[-1] - np.tensordot(share, np.stack(taken) + changes, 1))
 
 
 def _robust_weights(rest: Array, counts: Array) -> Array:
@@ -312,22 +331,14 @@ def _robust_weights(rest: Array, counts: Array) -> Array:
     return weights
 
 
-def _polynomials() -> Array:
-    """Displacements by each parameter of a homography, (8, 2, 3, 3): coefficients of powers of y and x.
-
-    Shifts along x and y, turn, scale, stretch, shear, and the two of perspective; px at half a side from the centre.
-    """
-    down = ["", "1", "x", "y", "-y", "x", "xy", "yy"]
-    across = ["1", "", "-y", "x", "x", "y", "xx", "xy"]
-    found = np.zeros((8, 2, 3, 3))
-    for k, each in enumerate(zip(down, across, strict=True)):
-        for axis, term in enumerate(each):
-            if term:
-                found[k, axis, term.count("y"), term.count("x")] = -1 if "-" in term else 1
-    return found
-
-
-POLYNOMIALS = _polynomials()
+#: Displacements by each parameter of a homography, down and across: shifts along x and y, turn, scale, stretch, shear,
+#: and the two of perspective; px at half a side from the centre.
+DISPLACEMENTS = ("|1", "1|", "x|-y", "y|x", "-y|x", "x|y", "xy|xx", "yy|xy")
+#: Their coefficients of powers of y and x, (8, 2, 3, 3).
+POLYNOMIALS = np.zeros((8, 2, 3, 3))
+for _at in np.ndindex(8, 2):
+    if _term := DISPLACEMENTS[_at[0]].split("|")[_at[1]]:
+        POLYNOMIALS[(*_at, _term.count("y"), _term.count("x"))] = -1 if "-" in _term else 1
 
 
 def step_gradients(gy: Array, gx: Array, y: Array, x: Array) -> Array:

@@ -168,8 +168,8 @@ class Burst:
     def compared(self, offset: Array, gain: Array) -> tuple[Array, Array]:
         """Frames (n, h, w) without pattern and level, and what the other samples of the scene expect of them."""
         frames = self.corrected(offset, gain)
-        expected = self.canvas.predicted(self._scene(frames))
-        return frames, np.where(self.canvas.is_seen(self.spread_weights), expected, frames)
+        seen = self.canvas.is_seen(self.spread_weights)
+        return frames, np.where(seen, self.canvas.predicted(self._scene(frames)), frames)
 
     def moving_share(self, rest: Array) -> float:
         """Share of the samples (n, h, w) that show what moves by itself, by what they have beside their scene.

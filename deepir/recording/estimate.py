@@ -239,8 +239,8 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     factor = coarsening(size)
     small, _ = _averaged(samples.frames, samples.known, factor)
     offset = fine_part(*samples.halves)
-    whole = offset + low_order_part(samples.pattern)
-    start = _averaged(whole[None].astype(np.float32), ~samples.bad[None], factor)[0][0]
+    whole = (offset + low_order_part(samples.pattern))[None].astype(np.float32)
+    start = _averaged(whole, ~samples.bad[None], factor)[0][0]
     low = solve_low_order(small, keyframes.neighbours, start)
     if low is not None:
         offset = offset + enlarged(low, size, factor)
