@@ -74,9 +74,9 @@ def estimate_pattern(burst: Burst, config: Config, estimate: Callable[[Array], t
 def estimate_offset(burst: Burst, config: Config, estimate: Callable[[Array], Array]) -> Result:
     """Subtract the offset (h, w) of frames (N, h, w), then as `average`; the gain stays one."""
     offset = estimate(burst.frames)
-    offset = (offset - offset[~burst.bad_pixels].mean()).astype(np.float32)
+    offset = offset - offset[~burst.bad_pixels].mean()
     result = average(dataclasses.replace(burst, frames=(burst.frames - offset).astype(np.float32)), config)
-    result.offset = offset
+    result.offset = offset.astype(np.float32)
     return result
 
 

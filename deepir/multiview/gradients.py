@@ -14,7 +14,6 @@ from torch import Tensor
 from deepir.arrays.statistics import robust_std
 from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass
 from deepir.fields.sensor_maps import GaussianMap
-from deepir.multiview.pattern_gradients import gradient_consensus
 
 SHARE = 0.25  # what a gradient counts: its neighbours say much the same
 LEAST = 1e-6  # of a frame's squared scale, in that of the typical frame
@@ -34,18 +33,18 @@ class Edges:
     """Sums over frames (N, h, w) at their edges along x and along y; `usable`, of the same shape, says which count.
 
     A pattern is (2, h, w): of the gain, and of the frames' mean `level`, `offset + level * gain`. The data say the
-    latter well even where they do not separate gain and offset.
+    latter well even where they do not separate gain and offset. `shared` (h, w) is a first estimate of it.
     """
 
-    def __init__(self, frames: Tensor, usable: Tensor) -> None:
+    def __init__(self, frames: Tensor, usable: Tensor, shared: Tensor) -> None:
         self.frames, self.usable = frames, usable
         self.level = float(frames[usable].mean(dtype=torch.float64))
         #: Variance of the pattern's gradients as it is found: where it follows a frame, the frame leaves no residual.
         self.doubt = [frames.new_zeros(frames.shape[1:], dtype=torch.float64).diff(dim=axis) for axis in AXES]
         # The likelihood has many optima. From a pattern of zero a pixel far off its neighbours would stay there, for
         # all its gradients would count for little.
-        shared = torch.from_numpy(gradient_consensus(frames.numpy(), usable.numpy())).double()
-        start = [torch.stack((torch.zeros_like(shared), shared)).diff(dim=axis) for axis in AXES]
+        pattern = torch.stack((torch.zeros_like(shared), shared)).double()
+        start = [pattern.diff(dim=axis) for axis in AXES]
         #: Root mean square of the pattern's gradients at the start.
         self.typical = float(torch.cat([each[1].flatten() for each in start]).square().mean().sqrt())
         #: Squared scale of each frame's gradients.

@@ -95,8 +95,9 @@ def find_pattern(
         The edges; all that the frames were found to share, of gain and level, (2, h, w); and the low-order part of the
         level, which is in no part unless a shading's strength is given.
     """
-    isolated = isolated_offsets(frames, usable)
-    edges = Edges(frames - isolated, usable)
+    shared = gradient_consensus(frames.numpy(), usable.numpy())
+    isolated = torch.from_numpy(isolated_offsets(shared, usable.any(0).numpy()))
+    edges = Edges(frames - isolated, usable, torch.from_numpy(shared) - isolated)
     unknowns = _Unknowns(edges, gain, offset)
     for i in range(ROUNDS):
         unknowns.solve(edges)
@@ -139,14 +140,12 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     return offset - offset[known].mean(), moved is not None
 
 
-def isolated_offsets(frames: Tensor, usable: Tensor) -> Tensor:
-    """Offsets (h, w) of single pixels far off their neighbours in what frames (N, h, w) share; zero elsewhere.
+def isolated_offsets(shared: Array, known: Array) -> Array:
+    """Offsets (h, w) of single pixels far off their neighbours in what frames share; zero elsewhere.
 
-    A Gaussian prior, whatever its spectrum, would take most of them away.
+    A Gaussian prior, whatever its spectrum, would take most of them away. `known` (h, w) are the pixels that count.
     """
-    shared = gradient_consensus(frames.numpy(), usable.numpy())
-    apart = shared - ndimage.median_filter(shared, 3)
-    return torch.from_numpy(np.where(pattern_outliers(shared, usable.any(0).numpy()), apart, 0)).to(frames)
+    return np.where(pattern_outliers(shared, known), shared - ndimage.median_filter(shared, 3), 0)
 
 
 @torch.no_grad()

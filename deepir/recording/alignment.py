@@ -34,7 +34,7 @@ PADDING = 1.8  # sides of the correlated frames with zeros beyond, relative to t
 MAX_STEPS, LAST_STEP = 6, 2e-2  # Gauss-Newton steps, at most; px, of the last one
 TURN = 3  # parameters of the motion of a camera that turns
 OUTLIER_SIGMAS = 2.0  # of residuals, scale of Cauchy's weights
-SCALE_STRIDE = 3  # px, between samples that the scale of the residuals is measured in
+STRIDE = 3  # px, between samples that noise, scales and changes are measured in
 
 
 class Canvas:
@@ -322,7 +322,7 @@ def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
 def _robust_weights(rest: Array, counts: Array) -> Array:
     """Cauchy's weights of residuals (n, h, w), by each frame's own scale; zero where a sample does not count."""
     weights = np.zeros_like(rest)
-    some = np.s_[::SCALE_STRIDE, ::SCALE_STRIDE]
+    some = np.s_[::STRIDE, ::STRIDE]
     for each, counted, weight in zip(rest, counts, weights, strict=True):
         known = np.abs(each[some][counted[some] > 0])
         if known.size:
@@ -331,14 +331,10 @@ def _robust_weights(rest: Array, counts: Array) -> Array:
     return weights
 
 
-#: Displacements by each parameter of a homography, down and across: shifts along x and y, turn, scale, stretch, shear,
-#: and the two of perspective; px at half a side from the centre.
-DISPLACEMENTS = ("|1", "1|", "x|-y", "y|x", "-y|x", "x|y", "xy|xx", "yy|xy")
-#: Their coefficients of powers of y and x, (8, 2, 3, 3).
-POLYNOMIALS = np.zeros((8, 2, 3, 3))
-for _at in np.ndindex(8, 2):
-    if _term := DISPLACEMENTS[_at[0]].split("|")[_at[1]]:
-        POLYNOMIALS[(*_at, _term.count("y"), _term.count("x"))] = -1 if "-" in _term else 1
+ONE, X, XX, Y, XY, _, YY, _, _ = np.eye(9).reshape(9, 3, 3)  # monomials, as coefficients of powers of y and of x
+#: Displacements by each parameter of a homography, (8, 2, 3, 3), down and across: shifts along x and y, turn, scale,
+#: stretch, shear, and the two of perspective; px at half a side from the centre.
+POLYNOMIALS = np.array([(0 * ONE, ONE), (ONE, 0 * ONE), (X, -Y), (Y, X), (-Y, X), (X, Y), (XY, XX), (YY, XY)])
 
 
 def step_gradients(gy: Array, gx: Array, y: Array, x: Array) -> Array:

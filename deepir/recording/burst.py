@@ -13,6 +13,7 @@ from deepir.errors import DataError
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.alignment import (
     REFINE_SIGMA,
+    STRIDE,
     TURN,
     Canvas,
     Links,
@@ -60,7 +61,6 @@ MAX_REACH = 0.5  # of the sides: how far a frame of a burst is from the referenc
 #: Squared tangents of half a camera's field of view that are tried, from a telephoto lens to 80 degrees.
 CURVATURES = (0.0, 0.06, 0.12, 0.2, 0.35, 0.7)
 REST_SIGMAS = 1.2  # of `changes`, below which nothing has moved
-STRIDE = 3  # px, between samples that noise and changes are measured in
 TRIAL_FRAMES = 8  # of a burst, that curvatures are tried on
 MIN_FRAMES = 4  # of a burst
 MIN_STEP = 0.5  # px: frames that moved by less since another one add nothing but an average

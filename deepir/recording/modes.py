@@ -270,7 +270,7 @@ def low_order_equations(
     per_frame, count = len(own) + (offset is not None), modes.count
     size = count + len(frames) * per_frame
     matrix, score = np.zeros((size, size)), np.zeros(size)
-    sums, moment, total = np.zeros((len(bright), size)), np.zeros(len(bright)), weight.sum(0)[seen]
+    sums, moment, total = np.zeros((len(y), size)), np.zeros(len(y)), weight.sum(0)[seen]
     shared, rows = np.s_[:count], []
     for k in range(len(frames)):
         inside = np.flatnonzero(weight[k][seen] > 0)

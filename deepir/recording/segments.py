@@ -140,32 +140,34 @@ def estimate_segments(keyframes: Keyframes, *, former: CorrectionMaps | None = N
         DataError: No part can be corrected; the reason of the first.
     """
     with threads.for_samples(keyframes.frames.size), memory.kept():
-        jumps = pattern_jumps(keyframes.frames)
+        return _estimate_segments(keyframes, former)
+
+
+def _estimate_segments(keyframes: Keyframes, former: CorrectionMaps | None) -> list[Segment]:
+    jumps = pattern_jumps(keyframes.frames)
+    try:
+        whole = _estimate(keyframes, former, keyframes.numbers[jumps].tolist())
+        if not whole.jumps:
+            return [_segment(keyframes, whole)]
+        jumps = np.searchsorted(keyframes.numbers, whole.jumps).tolist()
+    except DataError:
+        if not jumps:
+            raise
+    parts = [np.arange(*each) for each in itertools.pairwise([0, *jumps, len(keyframes.frames)])]
+    found, refused = [], []
+    for part in parts:
+        some = keyframes.subset(part)
         try:
-            whole = _estimate(keyframes, former, keyframes.numbers[jumps].tolist())
-            if not whole.jumps:
-                return [_segment(keyframes, whole)]
-            jumps = np.searchsorted(keyframes.numbers, whole.jumps).tolist()
-        except DataError:
-            if not jumps:
-                raise
-        parts = [np.arange(*each) for each in itertools.pairwise([0, *jumps, len(keyframes.frames)])]
-        found, refused = [], []
-        for part in parts:
-            some = keyframes.subset(part)
-            try:
-                found.append(_segment(some, _estimate(some, former)))
-            except DataError as error:
-                refused.append(error)
-                found.append(_segment(some, None, str(error)))
-        if len(refused) == len(parts):
-            raise refused[0]
-        return [
-            each
-            if each.estimate
-            else _with_maps_of_neighbour(each, found[max(0, k - 1) : k + 2], keyframes.frames[part])
-            for k, (each, part) in enumerate(zip(found, parts, strict=True))
-        ]
+            found.append(_segment(some, _estimate(some, former)))
+        except DataError as error:
+            refused.append(error)
+            found.append(_segment(some, None, str(error)))
+    if len(refused) == len(parts):
+        raise refused[0]
+    return [
+        each if each.estimate else _with_maps_of_neighbour(each, found[max(0, k - 1) : k + 2], keyframes.frames[part])
+        for k, (each, part) in enumerate(zip(found, parts, strict=True))
+    ]
 
 
 def _with_maps_of_neighbour(segment: Segment, neighbours: Sequence[Segment], frames: Array) -> Segment:

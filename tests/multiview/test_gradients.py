@@ -16,7 +16,7 @@ def edges():
     frames = torch.randn(5, *SIZE, dtype=torch.float64) + torch.linspace(0, 3, 5)[:, None, None]
     usable = torch.ones_like(frames, dtype=torch.bool)
     usable[:, 4, 5] = False
-    return Edges(frames, usable)
+    return Edges(frames, usable, frames.median(0).values)
 
 
 def matrix(edges):
@@ -77,7 +77,7 @@ def test_the_scales_of_cauchy_gradients_are_found():
     torch.manual_seed(0)
     steps = torch.distributions.Cauchy(0.0, torch.tensor([0.5, 4.0])).sample((40, 60)).permute(2, 0, 1)
     frames = steps.double().clamp(-1e6, 1e6).cumsum(2)[:, :, :]
-    edges = Edges(frames[:, :1], torch.ones(2, 1, 60, dtype=torch.bool))
+    edges = Edges(frames[:, :1], torch.ones(2, 1, 60, dtype=torch.bool), torch.zeros(1, 60))
     for _ in range(50):
         edges.weigh(torch.zeros(2, 1, 60, dtype=torch.float64))
         edges.doubt = [torch.zeros_like(each) for each in edges.doubt]
