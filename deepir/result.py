@@ -82,7 +82,7 @@ class Result:
         extra: Arrays of some problems: stray, psf ...; a dense motion is `flow` (N, 2, h, w), from each pixel to the
             point where it looks, x and y, px. `motion` is then the nearest homographies.
         radiometry: Conversion to kelvin; `extra` then holds `scene_kelvin`.
-        uncertainty: Standard deviations of scene, gain and offset.
+        uncertainty: Standard deviations of scene, gain and offset; with `uncertainty.samples` of all unknowns.
         example: (h, w), a raw frame to compare with; None for a result without a run.
         config: The configuration of the run; None for a result without a run.
     """

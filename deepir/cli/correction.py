@@ -149,12 +149,13 @@ def correct_all(
     with Interruptible():
         for task in tasks:
             this = made_by | {"sha256": _digest(task.file)}
-            if not overwrite and _is_done(task, folder, this):
+            if not overwrite and (status := _done(task, folder, this)):
                 done += 1
-                continue
-            record = _corrected(task, folder, settings, this, rounded=rounded)
-            echo(json.dumps(record))
-            states.append(record["status"])
+            else:
+                record = _corrected(task, folder, settings, this, rounded=rounded)
+                echo(json.dumps(record))
+                status = record["status"]
+            states.append(status)
     notify(f"{len(tasks)} recording(s), {done} of them done already; results: {folder}")
     return EXIT[max(states, key=list(EXIT).index)]
 
@@ -218,17 +219,17 @@ def _corrected(
     return found
 
 
-def _is_done(task: Task, folder: Path, made_by: dict[str, Any]) -> bool:
-    """Whether a recording was corrected with the same file, settings and version, and its results are there."""
+def _done(task: Task, folder: Path, made_by: dict[str, Any]) -> str:
+    """The status of a recording that was corrected or refused with this file, settings and version; "" of others."""
     try:
         found = json.loads(task.record(folder).read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return False
-    return (
-        isinstance(found, dict)
-        and (made_by | {"status": CORRECTED}).items() <= found.items()
-        and all(map(Path.exists, task.outputs(folder)))
-    )
+        return ""
+    if not (isinstance(found, dict) and made_by.items() <= found.items()):
+        return ""
+    status = found.get("status")
+    there = status == CORRECTED and all(map(Path.exists, task.outputs(folder)))
+    return str(status) if there or status == REFUSED else ""
 
 
 def _digest(file: Path) -> str:

@@ -116,6 +116,12 @@ class Solver(_Strict):
     plan: list[StageConfig] | None = Field(default=None, min_length=1)  # None: the problem's own
 
 
+class Uncertainty(_Strict):
+    """How standard deviations of the unknowns are found."""
+
+    samples: int | None = Field(default=None, ge=2, le=10**4)  # of the posterior; None: formulas
+
+
 class Output(_Strict):
     """Folder and format of the results."""
 
@@ -141,6 +147,7 @@ class Config(_Strict):
     #: Effects by name: false leaves one out; a mapping sets its options.
     effects: dict[str, bool | dict[str, Any] | None] = {}
     solver: Solver = Field(default_factory=Solver)
+    uncertainty: Uncertainty = Uncertainty()
     output: Output = Output()
     seed: int = Field(0, ge=0, lt=2**63)
     device: str = "cpu"

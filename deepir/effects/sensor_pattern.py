@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from deepir.arrays.samples import pattern_outliers
-from deepir.arrays.statistics import masked_values, median_sigma, robust_std, subsample
+from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import line_noise_fields, temporal_mean
 from deepir.estimation.variance_components import (
@@ -77,20 +77,6 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     middle = rest.where(usable, torch.nan).nanmedian(0, keepdim=True).values.nan_to_num()
     bad = [pattern_outliers(*(m[0, 0].numpy(force=True) for m in (each, known))) for each in (pattern, middle)]
     problem.precision.mul_(~torch.from_numpy(bad[0] & bad[1]).to(known.device))
-
-
-@torch.no_grad()
-def pattern_to_noise(problem: Problem) -> float:
-    """How many times stronger than a sample's noise gain and offset are, by the strengths of their parts."""
-    data, counts = subsample(problem.data, problem.precision > 0)
-    power = {"gain": float(masked_values(data, counts).square().mean()), "offset": 1.0}
-    variances = [
-        power[slot] * float(part.sigma.double().square())  # beyond all numbers it is infinite
-        for slot in power
-        for part in _all_parts(problem, slot)
-        if not isinstance(part, Shading)
-    ]
-    return sum(variances) ** 0.5 / median_sigma(problem.precision)
 
 
 @torch.no_grad()

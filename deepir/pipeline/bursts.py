@@ -100,11 +100,14 @@ def bursts(
         share_camera(problems[FIRST], each)
     alive = [each.alive() for each in problems.values()]
     joint = recipe.join(problems, config.seed)
-    solution, found = solve_jointly(joint, recipe, config, callbacks, checkpoint)
-    lost = torch.stack([was & ~each.alive() for was, each in zip(alive, joint.data_sets, strict=True)])
-    bad = burst.bad_pixels | (lost.double().mean(0) > 0.5).cpu().numpy()
-    known = dataclasses.replace(burst, bad_pixels=bad)
-    return _collected(joint, solution, known, chosen, [place for _, place in built], messages + found)
+
+    def collect(solution: Solution) -> Result:
+        lost = torch.stack([was & ~each.alive() for was, each in zip(alive, joint.data_sets, strict=True)])
+        bad = burst.bad_pixels | (lost.double().mean(0) > 0.5).cpu().numpy()
+        known = dataclasses.replace(burst, bad_pixels=bad)
+        return _collected(joint, solution, known, chosen, [place for _, place in built], messages)
+
+    return solve_jointly(joint, recipe, config, callbacks, checkpoint, collect)
 
 
 def choose_bursts(burst: Burst, config: Config, recipe: Recipe, count: int, frames: int) -> list[RegisteredBurst]:

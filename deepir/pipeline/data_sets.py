@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -19,6 +19,7 @@ from deepir.operators.motion_models import Geometry, homographies
 from deepir.optim.objective import Checkpoint, has_held_out, hold_out
 from deepir.optim.solve import Solution, solve
 from deepir.pipeline.collect import make_result, within
+from deepir.pipeline.posterior_samples import sampled_uncertainty
 from deepir.pipeline.register import frames_of_burst, motion_model, register_frames
 from deepir.pipeline.schedule import given_noise, make_recipe, network_message, plan
 from deepir.problem import Problem
@@ -56,24 +57,36 @@ def solve_data_sets(
     for each in problem.data_sets[1:]:
         if problem.names_in(each)["scene"] == "scene":
             start_radiometry(each)
-    solution, found = solve_jointly(problem, recipe, config, callbacks, checkpoint)
     frames_used, place = used[FIRST], places.pop(FIRST)
-    result = make_result(problem.first, place, solution, burst, frames_used, frames_used, messages + found, math.nan)
-    for name, place in places.items():
-        add_unknowns(result, problem, name, place)
-    return result
+
+    def collect(solution: Solution) -> Result:
+        result = make_result(problem.first, place, solution, burst, frames_used, frames_used, list(messages), math.nan)
+        for name, each in places.items():
+            add_unknowns(result, problem, name, each)
+        return result
+
+    return solve_jointly(problem, recipe, config, callbacks, checkpoint, collect)
 
 
 def solve_jointly(
-    problem: JointProblem, recipe: Recipe, config: Config, callbacks: Sequence[Any], checkpoint: Checkpoint | None
-) -> tuple[Solution, list[str]]:
-    """Run the plan of a problem that is started; the solution, and messages on it."""
+    problem: JointProblem,
+    recipe: Recipe,
+    config: Config,
+    callbacks: Sequence[Any],
+    checkpoint: Checkpoint | None,
+    collect: Callable[[Solution], Result],
+) -> Result:
+    """Run the plan of a problem that is started; `collect` makes the result of a solution."""
     stages = plan(problem, recipe, config)
     if config.scene.get("fit") and not has_held_out(problem):
         hold_out(problem, config.seed)
     messages = list(network_message(problem, stages))
     solution = solve(problem, stages, callbacks=callbacks, checkpoint=checkpoint)
-    return solution, messages + recipe.warnings(problem, complete=config.solver.max_iterations is None)
+    messages += recipe.warnings(problem, complete=config.solver.max_iterations is None)
+    result = collect(solution)
+    result.messages = list(dict.fromkeys([*result.messages, *messages]))
+    result.uncertainty |= sampled_uncertainty(problem, stages[-1], config, callbacks, collect)
+    return result
 
 
 @torch.no_grad()

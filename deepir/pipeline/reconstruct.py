@@ -20,9 +20,10 @@ from deepir.estimation.prior_weight import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.operators.motion_models import homographies
 from deepir.optim.objective import Checkpoint, hold_out
-from deepir.optim.solve import Progress, solve
+from deepir.optim.solve import Progress, Solution, solve
 from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
 from deepir.pipeline.data_sets import solve_data_sets
+from deepir.pipeline.posterior_samples import sampled_uncertainty
 from deepir.pipeline.register import frames_of_burst, motion_messages, register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.pipeline.schedule import (
@@ -86,7 +87,12 @@ def joint(
     messages += (misfit_message(problem, burst.messages) if complete else []) + region_message(found[None, None])
     known = dataclasses.replace(burst, bad_pixels=burst.bad_pixels | found.cpu().numpy())
     cost = pattern_cost_db(problem, recipe.sensor_weight)
-    result = make_result(problem, geometry, solution, known, used, taken, messages, cost)
+
+    def collect(each: Solution) -> Result:
+        return make_result(problem, geometry, each, known, used, taken, list(messages), cost)
+
+    result = collect(solution)
+    result.uncertainty |= sampled_uncertainty(problem, stages[-1], config, callbacks, collect)
     result.metrics |= recipe.metrics(problem)
     shown = kept if motion is None else dataclasses.replace(kept, bad_pixels=known.bad_pixels)
     unseen = unseen_scene(problem, geometry, shown)
@@ -98,9 +104,7 @@ def joint(
     result.messages = list(dict.fromkeys(doubt + result.messages))
     judged = burst if doubt else _evened(known, problem, taken)
     final = safeguarded(result, judged, registered=motion is not None, trusted=not doubt)
-    if final.frames_used.sum() < used.sum():  # it is the first frame
-        unseen = ~burst.valid[0]
-    return mark_unseen(final, unseen)
+    return mark_unseen(final, ~burst.valid[0] if final.frames_used.sum() < used.sum() else unseen)  # of the first frame
 
 
 def _evened(burst: Burst, problem: Problem, taken: np.ndarray) -> Burst:

@@ -7,20 +7,17 @@ from typing import Any, ClassVar
 import torch
 
 from deepir.diagnostics.fit import misses_bending
-from deepir.effects.sensor_pattern import pattern_to_noise
 from deepir.estimation.prior_weight import adapt_weight_map, pattern_cost_db, store_reference_misfit
 from deepir.fields.motion import Auto
 from deepir.optim.fourier_hessian import has_fourier_model
 from deepir.optim.objective import hold_out
 from deepir.optim.solve import solve
 from deepir.problem import Problem
-from deepir.problems.coarse_to_fine import coarse_to_fine, motion_of
 from deepir.problems.recipe import Recipe, each_by_itself
 from deepir.registration.motion_search import MIN_FRAMES
 from deepir.registry import register
 from deepir.schedule import Schedule, Stage, Step
 
-DOMINANT_PATTERN = 10.0  # standard deviations of the noise, from which the pattern biases the registration
 ROUND_TOLERANCE = 2e-3  # nats per sample that ten iterations gain, in the first rounds
 LAST_TOLERANCE = 3e-4  # the same in the last round
 SCENE_TOLERANCE = 0.1  # the same in the scene's own stage, per scene pixel
@@ -49,8 +46,8 @@ class NUC(Recipe):
     )
 
     def initialise(self, problem: Problem, seed: int) -> None:
-        """Noise and pattern of the raw frames; scene: registered average; motion: of half resolution if need be."""
-        coarse_to_fine(problem, self, seed)
+        """Noise and pattern of the raw frames; scene: registered average."""
+        self.start(problem)
         found = [effect.detect(problem) for effect in self.effects]
         if any(found):
             self.restart(problem)
@@ -59,36 +56,24 @@ class NUC(Recipe):
     def plan(self, problem: Any) -> Schedule:
         """Three rounds for the sensor, those that effects ask for, and the scene on all samples."""
         free, eliminate = self.split(problem)
-        fixed = self.refined_last(problem)
         fourier = all(map(has_fourier_model, problem.data_sets))
         frames = min(len(each.data) for each in problem.data_sets)
         short, long, last = ITERATIONS[fourier]
         rough, fine, scene = (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
-        first = (Step(tuple(name for name in free if name not in fixed)), *eliminate)
+        steps = (Step(free), *eliminate)
         final = (Step(tuple(problem.scenes)),)
         schedule = Schedule(
             [
-                Stage("sensor 1", first, short, tolerance=rough),
-                Stage("homography", (Step(free), *eliminate), short, tolerance=rough, needed=_bends, change=_bend),
-                Stage("sensor 2", first, short, prepare=self.first_update, tolerance=rough),
-                Stage("sensor 3", (Step(free), *eliminate), long, prepare=self.update, tolerance=fine),
+                Stage("sensor 1", steps, short, tolerance=rough),
+                Stage("homography", steps, short, tolerance=rough, needed=_bends, change=_bend),
+                Stage("sensor 2", steps, short, prepare=self.first_update, tolerance=rough),
+                Stage("sensor 3", steps, long, prepare=self.update, tolerance=fine),
                 Stage("scene", final, last, prepare=self.finish, use_held_out=True, tolerance=scene),
             ]
         )
         for effect in self.effects:
             schedule = effect.plan(problem, schedule, self)
         return schedule
-
-    def refined_last(self, problem: Any) -> tuple[str, ...]:
-        """What is fixed until the last round: the motion, as registered, unless the pattern biases it.
-
-        Not where something moves, which would draw the motion along.
-        """
-        return tuple(
-            problem.names_in(each)[each.motion_unknown()]
-            for each in problem.data_sets
-            if each.moving.any() or pattern_to_noise(each) < DOMINANT_PATTERN
-        )
 
     @torch.no_grad()
     def finish(self, problem: Any) -> None:
@@ -105,7 +90,7 @@ def _rigid(problem: Any) -> list[tuple[Problem, Auto]]:
         (each, field)
         for each in problem.data_sets
         if each.motion_unknown() and len(each.data) >= MIN_FRAMES
-        if isinstance(field := motion_of(each), Auto) and not field.uses_homography
+        if isinstance(field := each.fields[each.motion_unknown()], Auto) and not field.uses_homography
     ]
 
 

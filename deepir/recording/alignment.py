@@ -152,25 +152,48 @@ def corners(motion: Array, size: Sequence[int]) -> Array:
     return np.stack([np.stack(project(each, y, x)) for each in motion])
 
 
+class Window:
+    """The window of frames that are correlated, (h, w), padded by zeros to `padded`, px.
+
+    Attributes:
+        spectrum: its transform.
+        overlap: of two windows, by the shift between them.
+    """
+
+    def __init__(self, size: tuple[int, ...]) -> None:
+        height, width = size
+        self.padded = fft.next_fast_len(int(PADDING * height)), fft.next_fast_len(int(PADDING * width))
+        self.values = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in size))).astype(np.float32)
+        self.spectrum = self.transform(self.values)
+        self.overlap = self.correlation(self.spectrum, self.spectrum)
+
+    def transform(self, values: Array) -> Array:
+        """The spectrum of values (h, w)."""
+        return np.asarray(fft.rfft2(values, self.padded))
+
+    def correlation(self, one: Array, other: Array) -> Array:
+        """Of two by their spectra, by the shift from the other to the one."""
+        return np.asarray(fft.irfft2(np.conj(other) * one, self.padded))
+
+
+_window = functools.lru_cache(maxsize=4)(Window)
+
+
 @dataclass(frozen=True)
 class Spectrum:
-    """Transforms of a windowed frame, of its square and of the window, for masked correlation."""
+    """Transforms of a windowed frame and of its square, for masked correlation."""
 
     frame: Array
     square: Array
-    window: Array
-    padded: tuple[int, int]
+    window: Window
 
     @classmethod
     def of(cls, frame: Array) -> Spectrum:
         """Of a frame (h, w), less its low-order part; limited, as a hot person who walks would outweigh the scene."""
-        height, width = frame.shape
-        padded = fft.next_fast_len(int(PADDING * height)), fft.next_fast_len(int(PADDING * width))
-        window = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in frame.shape))).astype(np.float32)
+        window = _window(frame.shape)
         detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
         detail = detail.clip(*np.quantile(np.abs(detail), LIMIT) * np.array([-1, 1]))
-        shown, square, whole = (fft.rfft2(part, padded) for part in (detail * window, detail**2 * window, window))
-        return cls(shown, square, whole, padded)
+        return cls(window.transform(detail * window.values), window.transform(detail**2 * window.values), window)
 
 
 def find_shift(reference: Spectrum, frame: Spectrum) -> tuple[Array, float]:
@@ -178,17 +201,13 @@ def find_shift(reference: Spectrum, frame: Spectrum) -> tuple[Array, float]:
 
     Source: Padfield, "Masked object registration in the Fourier domain", IEEE Trans. Image Process. 21, 2012.
     """
-
-    def correlation(one: Array, other: Array) -> Array:
-        return np.asarray(fft.irfft2(np.conj(other) * one, reference.padded))
-
-    overlap = correlation(reference.window, frame.window)
+    window = frame.window
     energy = np.sqrt(
-        np.maximum(correlation(reference.square, frame.window), 0)
-        * np.maximum(correlation(reference.window, frame.square), 0)
+        np.maximum(window.correlation(reference.square, window.spectrum), 0)
+        * np.maximum(window.correlation(window.spectrum, frame.square), 0)
     )
-    is_wide = (overlap > MIN_OVERLAP * overlap.max()) & (energy > 1e-3 * energy.max())
-    score = np.where(is_wide, correlation(reference.frame, frame.frame) / np.where(is_wide, energy, 1), -1.0)
+    is_wide = (window.overlap > MIN_OVERLAP * window.overlap.max()) & (energy > 1e-3 * energy.max())
+    score = np.where(is_wide, window.correlation(reference.frame, frame.frame) / np.where(is_wide, energy, 1), -1.0)
     peak = np.unravel_index(int(score.argmax()), score.shape)
     shift = []
     for axis, (at, side) in enumerate(zip(peak, score.shape, strict=True)):

@@ -104,6 +104,7 @@ def test_one_that_is_refused_or_fails_leaves_the_others_alone(deepir, recordings
         raise ZeroDivisionError("of nothing")
 
     monkeypatch.setattr(correction, "correct_file", broken)
+    assert deepir("correct", "in", "--output-dir", "out")[:2] == (2, "")  # refused again without another try
     status, out, _ = deepir("correct", "in", "--output-dir", "other")
     assert status == 1
     assert lines(out)[0]["messages"][0].startswith("ZeroDivisionError: of nothing (test_archive.py:")
