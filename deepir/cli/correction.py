@@ -225,9 +225,7 @@ def _done(task: Task, folder: Path, made_by: dict[str, Any]) -> str:
         found = json.loads(task.record(folder).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return ""
-    if not (isinstance(found, dict) and made_by.items() <= found.items()):
-        return ""
-    status = found.get("status")
+    status = found.get("status") if isinstance(found, dict) and made_by.items() <= found.items() else None
     there = status == CORRECTED and all(map(Path.exists, task.outputs(folder)))
     return str(status) if there or status == REFUSED else ""
 

@@ -61,9 +61,10 @@ class Downsample(Operator):
 
     def forward(self, x: Tensor, **slots: Tensor) -> Tensor:
         """Average over the squares."""
-        *head, height, width = self.out_shape(x.shape, x.shape[0])
+        height, width = self.out_shape(x.shape, x.shape[0])[-2:]
         if isinstance(self.factor, int):
-            return x.reshape(*head, height, self.factor, width, self.factor).mean((-1, -3))
+            sums = x.unflatten(-2, (-1, self.factor)).sum(-2).unflatten(-1, (-1, self.factor)).sum(-1)
+            return sums / self.factor**2  # an axis at a time: both at once take twice as long
         down, across = (self._parts(side).to(x) for side in (height, width))
         return down @ x @ across.mT / self.factor**2
 

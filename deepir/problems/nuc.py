@@ -60,15 +60,14 @@ class NUC(Recipe):
         frames = min(len(each.data) for each in problem.data_sets)
         short, long, last = ITERATIONS[fourier]
         rough, fine, scene = (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
-        steps = (Step(free), *eliminate)
-        final = (Step(tuple(problem.scenes)),)
+        steps, alone = (Step(free), *eliminate), (Step(tuple(problem.scenes)),)
         schedule = Schedule(
             [
                 Stage("sensor 1", steps, short, tolerance=rough),
                 Stage("homography", steps, short, tolerance=rough, needed=_bends, change=_bend),
                 Stage("sensor 2", steps, short, prepare=self.first_update, tolerance=rough),
                 Stage("sensor 3", steps, long, prepare=self.update, tolerance=fine),
-                Stage("scene", final, last, prepare=self.finish, use_held_out=True, tolerance=scene),
+                Stage("scene", alone, last, prepare=self.finish, use_held_out=True, tolerance=scene),
             ]
         )
         for effect in self.effects:
