@@ -333,8 +333,8 @@ def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
     if not taken:
         return steps[-1]
     scale = 1 / np.maximum(np.linalg.norm(steps[-1], axis=1, keepdims=True), LAST_STEP)  # no frame outweighs the others
-    changes = np.diff(np.stack(steps), axis=0)
-    share = np.linalg.lstsq((scale * changes).reshape(len(taken), -1).T, (scale * steps[-1]).ravel(), rcond=1e-3)[0]
+    changes = np.diff(np.stack(steps), axis=0)  # of which those that are nearly alike differ by noise
+    share = np.linalg.lstsq((scale * changes).reshape(len(taken), -1).T, (scale * steps[-1]).ravel(), rcond=0.1)[0]
     return np.asarray(steps[-1] - np.tensordot(share, np.stack(taken) + changes, 1))
 
 
