@@ -319,7 +319,7 @@ def _messages(tells: Array, moving: float) -> Iterator[str]:
         yield Message(
             "moving-object",
             f"something moves by itself, as a person or a car does: {moving:.1%} of the values show it. It is kept, "
-            "and counts little in the correction",
+            "and the correction hardly uses it",
         )
 
 
