@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 import platform
 import time
@@ -160,8 +159,8 @@ def execute(
         }
         return whole
     name, method = chosen(config)
-    finer = math.prod(stage.get("factor", 1) for stage in config.physics.values() if stage)  # the scene's grid
-    with threads.for_samples(data.frames.size * finer**2, config.threads), memory.kept(), seeded(config.seed):
+    finer = float((config.physics.get("downsample") or {}).get("factor", 1))  # px of the scene for each of the detector
+    with threads.for_samples(int(data.frames.size * finer**2), config.threads), memory.kept(), seeded(config.seed):
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     result.messages = [*data.messages, *result.messages]
     result.example, result.config = np.where(data.valid[0], data.frames[0], np.nan), config

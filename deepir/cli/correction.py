@@ -149,13 +149,9 @@ def correct_all(
     with Interruptible():
         for task in tasks:
             this = made_by | {"sha256": _digest(task.file)}
-            if not overwrite and (status := _done(task, folder, this)):
-                done += 1
-            else:
-                record = _corrected(task, folder, settings, this, rounded=rounded)
-                echo(json.dumps(record))
-                status = record["status"]
-            states.append(status)
+            status = "" if overwrite else _done(task, folder, this)
+            done += bool(status)
+            states.append(status or _corrected(task, folder, settings, this, rounded=rounded))
     notify(f"{len(tasks)} recording(s), {done} of them done already; results: {folder}")
     return EXIT[max(states, key=list(EXIT).index)]
 
@@ -188,10 +184,8 @@ def recordings_of(source: str, *, any_file: bool = False) -> list[Task]:
     return tasks
 
 
-def _corrected(
-    task: Task, folder: Path, settings: Sequence[str], made_by: dict[str, Any], *, rounded: bool
-) -> dict[str, Any]:
-    """Correct a recording and write its record; the record."""
+def _corrected(task: Task, folder: Path, settings: Sequence[str], made_by: dict[str, Any], *, rounded: bool) -> str:
+    """Correct a recording, write its record and print it; its status."""
     begun, outputs = time.perf_counter(), task.outputs(folder)
     outputs[0].parent.mkdir(parents=True, exist_ok=True)
     found: dict[str, Any] = {"file": str(task.file), "status": CORRECTED}
@@ -208,15 +202,18 @@ def _corrected(
             "messages": list(map(str, corrected.messages)),
         }
     except DeepIRError as error:
-        found |= {"status": REFUSED, "messages": [str(error)]}
+        status = FAILED if isinstance(error.__context__, ImportError) else REFUSED  # a package may come
+        found |= {"status": status, "messages": [str(error)]}
     except Exception as error:  # the others go on; nobody may sit beside the archive
         last = traceback.extract_tb(error.__traceback__)[-1]
         where = f"{Path(last.filename).name}:{last.lineno}"
         found |= {"status": FAILED, "messages": [f"{type(error).__name__}: {error} ({where})"]}
     found |= {"seconds": round(time.perf_counter() - begun, 2), "peak_memory_mb": peak_memory()}
+    line = json.dumps(found)
     with atomic_file(task.record(folder)) as part:
-        part.write_text(json.dumps(found) + "\n", encoding="utf-8")
-    return found
+        part.write_text(line + "\n", encoding="utf-8")
+    echo(line)
+    return str(found["status"])
 
 
 def _done(task: Task, folder: Path, made_by: dict[str, Any]) -> str:
@@ -226,8 +223,8 @@ def _done(task: Task, folder: Path, made_by: dict[str, Any]) -> str:
     except (OSError, ValueError):
         return ""
     status = found.get("status") if isinstance(found, dict) and made_by.items() <= found.items() else None
-    there = status == CORRECTED and all(map(Path.exists, task.outputs(folder)))
-    return str(status) if there or status == REFUSED else ""
+    is_done = status == REFUSED or (status == CORRECTED and all(map(Path.exists, task.outputs(folder))))
+    return str(status) if is_done else ""
 
 
 def _digest(file: Path) -> str:

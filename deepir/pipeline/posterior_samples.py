@@ -18,6 +18,7 @@ from deepir.config import Config
 from deepir.fields.base import Field
 from deepir.joint_problem import AnyProblem
 from deepir.optim.solve import Progress, Solution, solve
+from deepir.pipeline.schedule import OWN
 from deepir.problems.recipe import Recipe
 from deepir.result import Array, Result
 from deepir.schedule import Stage, Step
@@ -31,19 +32,17 @@ def sampled_uncertainty(
     """Standard deviations of all that a result holds, from `config.uncertainty.samples`; {} without these.
 
     Args:
-        problem: See `posterior_samples`, as for the others.
+        problem: A solved one.
         last: Stage that ended the solve.
         config: The configuration.
         callbacks: Called after each iteration.
         collect: The result of a solution.
     """
-    results = []
-    for solution in posterior_samples(problem, last, config.uncertainty.samples or 0, config.seed, callbacks):
-        result = collect(solution)
-        own = {name: getattr(result, name) for name in ("scene", "gain", "offset", "motion", "level")}
-        results.append(own | {name: each for name, each in result.extra.items() if each.dtype.kind == "f"})
-    names = set.intersection(*map(set, results)) if results else set()
-    return {name: np.std([each[name] for each in results], 0, ddof=1).astype(np.float32) for name in sorted(names)}
+    samples = posterior_samples(problem, last, config.uncertainty.samples or 0, config.seed, callbacks)
+    found = [(end := collect(s)).extra | {name: getattr(end, name) for name in (*OWN, "motion")} for s in samples]
+    names = set.intersection(*map(set, found)) if found else set()
+    arrays = {name: np.stack([each[name] for each in found]) for name in sorted(names)}
+    return {name: a.std(0, float, ddof=1).astype(np.float32) for name, a in arrays.items() if a.dtype.kind == "f"}
 
 
 def posterior_samples(
@@ -64,9 +63,9 @@ def posterior_samples(
         draws = _perturb(problem, generator)
 
         def report(progress: Progress, k: int = k) -> None:
-            done = (k + progress.done) / count
+            now = dataclasses.replace(progress, stage=f"sample {k + 1} of {count}", done=(k + progress.done) / count)
             for callback in callbacks:
-                callback(dataclasses.replace(progress, stage=f"sample {k + 1} of {count}", done=done))
+                callback(now)
 
         solution = solve(problem, [stage], callbacks=[report])
         with torch.no_grad():
@@ -80,7 +79,7 @@ def _stage(problem: AnyProblem, last: Stage) -> Stage:
     """All that is free together; a network by the method that fitted it, beside the others."""
     free, eliminate = Recipe.split(problem)
     moved = tuple(step for step in last.steps if step.method not in ("lbfgs", "eliminate"))
-    others = tuple(name for name in free if name not in {name for step in moved for name in step.group})
+    others = tuple(name for name in free if not any(name in step.group for step in moved))
     steps = (*moved, *([Step(others)] if others else []), *eliminate)
     return Stage("posterior", steps, last.iterations, use_held_out=last.use_held_out, tolerance=last.tolerance)
 

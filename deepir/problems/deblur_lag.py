@@ -20,7 +20,7 @@ from deepir.problem import Problem
 from deepir.problems.nuc import NUC
 from deepir.problems.recipe import TRIAL_ITERATIONS
 from deepir.registry import register
-from deepir.schedule import Schedule, Stage, Step
+from deepir.schedule import Schedule, Stage
 
 MAX_MOTION_PER_SUBSTEP = 1.0  # px: above, the flux between two instants is a guess
 MAX_SUBSTEPS = 16  # more mean that the camera jumps
@@ -68,11 +68,11 @@ class DeblurLag(NUC):
         """Sensor; with motion and time constant, twice, to the end; scene."""
         schedule = super().plan(problem)
         last = replace(schedule("sensor 3"), tolerance=Stage.tolerance)
-        free, eliminate = self.split(problem)
-        waiting = problem.motion_unknown(), slot_of(problem, "tau")
-        first = Step(tuple(name for name in free if name not in waiting))
-        schedule = schedule.replaced("sensor 1", replace(schedule("sensor 1"), steps=(first, *eliminate)))
         return schedule.replaced("sensor 2", replace(last, name="sensor 2")).replaced("sensor 3", last)
+
+    def waiting(self, problem: Problem) -> tuple[str, ...]:
+        """The motion and the time constant."""
+        return problem.motion_unknown(), slot_of(problem, "tau")
 
     @torch.no_grad()
     def metrics(self, problem: Problem) -> dict[str, float]:

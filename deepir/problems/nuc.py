@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -61,9 +62,11 @@ class NUC(Recipe):
         short, long, last = ITERATIONS[fourier]
         rough, fine, scene = (ROUND_TOLERANCE, LAST_TOLERANCE, SCENE_TOLERANCE / frames) if fourier else (1e-5,) * 3
         steps, alone = (Step(free), *eliminate), (Step(tuple(problem.scenes)),)
+        waiting = self.waiting(problem)
+        first = (Step(tuple(name for name in free if name not in waiting)), *eliminate)
         schedule = Schedule(
             [
-                Stage("sensor 1", steps, short, tolerance=rough),
+                Stage("sensor 1", first, short, tolerance=rough),
                 Stage("homography", steps, short, tolerance=rough, needed=_bends, change=_bend),
                 Stage("sensor 2", steps, short, prepare=self.first_update, tolerance=rough),
                 Stage("sensor 3", steps, long, prepare=self.update, tolerance=fine),
@@ -73,6 +76,11 @@ class NUC(Recipe):
         for effect in self.effects:
             schedule = effect.plan(problem, schedule, self)
         return schedule
+
+    def waiting(self, problem: Any) -> Sequence[str]:
+        """Unknowns that are fixed in the first round: the motion where samples are cut off, whose bounds it finds."""
+        cut_off = (each for each in problem.data_sets if each.saturation is not None)
+        return [problem.names_in(each)[each.motion_unknown()] for each in cut_off]
 
     @torch.no_grad()
     def finish(self, problem: Any) -> None:

@@ -164,19 +164,15 @@ class Window:
         height, width = size
         self.padded = fft.next_fast_len(int(PADDING * height)), fft.next_fast_len(int(PADDING * width))
         self.values = np.sqrt(np.outer(*(np.hanning(side + 2)[1:-1] for side in size))).astype(np.float32)
-        self.spectrum = self.transform(self.values)
+        self.spectrum = fft.rfft2(self.values, self.padded)
         self.overlap = self.correlation(self.spectrum, self.spectrum)
-
-    def transform(self, values: Array) -> Array:
-        """The spectrum of values (h, w)."""
-        return np.asarray(fft.rfft2(values, self.padded))
 
     def correlation(self, one: Array, other: Array) -> Array:
         """Of two by their spectra, by the shift from the other to the one."""
         return np.asarray(fft.irfft2(np.conj(other) * one, self.padded))
 
 
-_window = functools.lru_cache(maxsize=4)(Window)
+_window = functools.lru_cache(maxsize=1)(Window)
 
 
 @dataclass(frozen=True)
@@ -193,7 +189,8 @@ class Spectrum:
         window = _window(frame.shape)
         detail = frame - ndimage.gaussian_filter(frame, SHIFT_SIGMA)
         detail = detail.clip(*np.quantile(np.abs(detail), LIMIT) * np.array([-1, 1]))
-        return cls(window.transform(detail * window.values), window.transform(detail**2 * window.values), window)
+        shown, square = (fft.rfft2(part * window.values, window.padded) for part in (detail, detail**2))
+        return cls(shown, square, window)
 
 
 def find_shift(reference: Spectrum, frame: Spectrum) -> tuple[Array, float]:
@@ -302,8 +299,7 @@ def refined_motion(
     if free == TURN:
         basis[:2, 6:] = curvature * np.eye(2)
     motion, around, half = canvas.motion.copy(), copy.copy(canvas), max(canvas.size) / 2
-    steps: list[Array] = []
-    taken: list[Array] = []
+    steps, taken = list[Array](), list[Array]()
     for _ in range(MAX_STEPS):
         shown, down, across = around.predicted_with_slopes(around.mean(coefficients, spread_weights))
         rest = np.subtract(detail, shown, out=shown)

@@ -173,10 +173,11 @@ def _maps(result: Result, example: Array) -> Iterator[dict[str, Any]]:
             yield packed(name, name.capitalize(), image, "", centre=0.0 if low < 0 < high else None)
     bad = result.bad_pixels
     yield packed("bad_pixels", f"Bad pixels, {bad.sum()}", _first(bad), "", "mask")
-    maps = {name: each for name, each in result.uncertainty.items() if each.ndim > 1 and name != "motion"}
-    for name, image in maps.items():
-        own = "" if name == "gain" else here
-        yield packed(f"{name}_sd", f"Uncertainty of the {name}", _first(image), own, "spread")
+    yield from (
+        packed(f"{name}_sd", f"Uncertainty of the {name}", _first(image), "" if name == "gain" else here, "spread")
+        for name, image in result.uncertainty.items()
+        if image.ndim > 1 and name != "motion"
+    )
 
 
 def _scenes(
