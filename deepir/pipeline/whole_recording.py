@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import inspect
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.config.components import options_schema, validate
+from deepir.errors import ConfigError
 from deepir.io.inspection.samples import has_eight_bits
 from deepir.recording.correct import CorrectedRecording
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral
+
+SAMPLED = ("joint", "bursts")  # methods that can draw samples of a posterior
 
 
 def chosen(config: Config) -> tuple[str, Callable[..., Result]]:
@@ -26,21 +27,17 @@ def chosen(config: Config) -> tuple[str, Callable[..., Result]]:
     the last two need not take them.
 
     Raises:
-        ConfigError: No method has this name, or it does not take these options.
+        ConfigError: No method has this name, or it does not take these options, or has no samples.
     """
     given = config.method if isinstance(config.method, dict) else {"type": config.method}
     name = str(given.get("type", "joint"))
     method = lookup("method", name, "method")
     options = {key: value for key, value in given.items() if key != "type"}
     values = validate(options_schema(method), options, f"method '{name}'")
+    if config.uncertainty.samples and name not in SAMPLED:
+        raise ConfigError(f"uncertainty.samples: method '{name}' has no posterior to draw from; take method=joint")
     takes = inspect.signature(method).parameters
-
-    @functools.wraps(method)
-    def run(*data: Any, **context: Any) -> Result:
-        result: Result = method(*data, **{k: v for k, v in context.items() if k in takes}, **values)
-        return result
-
-    return name, run
+    return name, lambda *data, **context: method(*data, **{k: v for k, v in context.items() if k in takes}, **values)
 
 
 @register("method", "recording")

@@ -225,6 +225,7 @@ COMMANDS = {
     "resume": ["Missing argument"],
     "resume nope": ["nope: no run in this folder"],
     "check brust.npz": ["no such file", "did you mean 'burst.npz'"],
+    "run nuc method=average uncertainty.samples=8 data.path=burst.npz": ["no posterior to draw from"],
     "check nuc sede=3": ["did you mean 'seed'"],
     "check burst.npz seed=3": ["settings go with a configuration"],
     "simulate out.txt": ["out.txt", ".npz"],

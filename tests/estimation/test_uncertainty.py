@@ -64,8 +64,7 @@ def test_samples_of_a_gaussian_posterior_are_exact(problem):
     drawn = np.stack([each.values["offset"].numpy() for each in posterior_samples(problem, end, 200, seed=1)])
     variance = 1 / (3 + 0.7**-2)
     assert drawn.var(0).mean() == pytest.approx(variance, rel=0.03)
-    mean = variance * (problem.data - 5).sum(0).numpy()
-    assert np.abs(drawn.mean(0) - mean).mean() < 1.5 * np.sqrt(variance / 200)
+    assert np.abs(drawn.mean(0) - variance * (problem.data - 5).sum(0).numpy()).mean() < 1.5 * np.sqrt(variance / 200)
 
 
 def test_the_problem_is_left_as_it_was(problem):
