@@ -17,8 +17,6 @@ from deepir.recording.correct import CorrectedRecording
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral
 
-SAMPLED = ("joint", "bursts")  # methods that can draw samples of a posterior
-
 
 def chosen(config: Config) -> tuple[str, Callable[..., Result]]:
     """The name of `config.method`, and the method with its options.
@@ -27,16 +25,16 @@ def chosen(config: Config) -> tuple[str, Callable[..., Result]]:
     the last two need not take them.
 
     Raises:
-        ConfigError: No method has this name, or it does not take these options, or has no samples.
+        ConfigError: No method has this name, it does not take these options, or it has no samples.
     """
     given = config.method if isinstance(config.method, dict) else {"type": config.method}
     name = str(given.get("type", "joint"))
     method = lookup("method", name, "method")
     options = {key: value for key, value in given.items() if key != "type"}
     values = validate(options_schema(method), options, f"method '{name}'")
-    if config.uncertainty.samples and name not in SAMPLED:
-        raise ConfigError(f"uncertainty.samples: method '{name}' has no posterior to draw from; take method=joint")
     takes = inspect.signature(method).parameters
+    if config.uncertainty.samples and "checkpoint" not in takes:  # it solves no problem
+        raise ConfigError(f"uncertainty.samples: method '{name}' has no posterior to draw from; take method=joint")
     return name, lambda *data, **context: method(*data, **{k: v for k, v in context.items() if k in takes}, **values)
 
 
