@@ -18,6 +18,7 @@ from recordings_scores import Figures, bad_pixels, covered, mean_error
 
 FAMILIES = ("hand-held", "agc", "drive")
 CODE = ("recordings_drawn.py", "recordings_limit.py")
+EIGHT_BITS = (0, 255)  # least and largest count under gain control
 
 
 def missing(family: str) -> str:
@@ -41,7 +42,8 @@ def load(family: str, name: str, seed: int) -> Case:
     limit: Figures = {}
     if family == "hand-held":
         limit["limit"] = low_order_limit(drawn(), make.args)
-    elif family == "agc":  # clipped samples: what the true pattern leaves
+    elif family == "agc":
+        truth = truth | {"scene": np.clip(truth["scene"], *EIGHT_BITS)}  # what a camera without a pattern shows
         without = frames - truth["gain"][:, None, None] * truth["pattern"]
         limit["limit"] = drawn().score(without, frames, truth)["low"]
 

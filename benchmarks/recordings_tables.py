@@ -17,8 +17,8 @@ OURS = "correct"
 ABOUT = {
     "hand-held": "Windows of real pictures, moved by hand, under drawn patterns.",
     "large": "Pictures of 240 to 512 rows, by pans, scans and hand, under drawn patterns; levels drift.",
-    "agc": "As hand-held, each frame stretched to 8 bits by a gain control. Clipped samples count: "
-    "**limit** is what the true pattern, taken off, leaves. Of the fine part it leaves 0.01 to 0.37.",
+    "agc": "As hand-held, each frame stretched to 8 bits by a gain control. The truth is what a camera without a "
+    "pattern shows, cut off at 0 and 255 too. **Limit**: what the true pattern, taken off, leaves of clipped samples.",
     "drive": "Pieces of a real drive, half as fine, under drawn patterns.",
     "simulated": "240 frames of 320 x 240 px: drive, walk, pan, drone; raw, shaded, after a shutter, lossy.",
     "real": "A drive with an uncooled Lynred camera, whole and in pieces. Likeness is that with calibrated frames.",

@@ -19,7 +19,8 @@ STRENGTH_DECAY = 0.8  # denoiser strength relative to that of the stage before
 class RED(Penalty):
     """Regularisation by denoising: `½ Σ (x - D(x))²` with a denoiser D.
 
-    Solved by fixed points: `D(x)` is constant during a stage and updated at the start of the next.
+    Solved by fixed points: `D(x)` is constant during a stage and updated at the start of the next, on a value that is
+    turned or mirrored another way in each, which averages what the denoiser does along directions of its own.
 
     Args:
         shape: Of the value.
@@ -65,7 +66,10 @@ class RED(Penalty):
 
     def adapt(self, value: Tensor, noise: float) -> None:
         """Update `D(x)`; the strength then decreases, down to `strength`."""
-        self.target.copy_(self.denoise(value, self._denoiser_sigma() * noise))
+        turns, mirrored = int(self.stage) % 4, int(self.stage) % 8 >= 4
+        turned = torch.rot90(value.mT if mirrored else value, turns, (-2, -1))
+        found = torch.rot90(self.denoise(turned, self._denoiser_sigma() * noise), -turns, (-2, -1))
+        self.target.copy_(found.mT if mirrored else found)
         self.stage += 1
 
     def default_weight(self, sigma: float) -> float:
