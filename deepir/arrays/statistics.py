@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.threads import is_compiled
 
-#: Numbers from which the compiled median is faster than that of torch.
-MIN_SIZE_OF_COMPILED_MEDIAN = 5_000
 #: Samples of a frame that suffice for a median or a mean.
 MAX_SAMPLES_PER_FRAME = 40_000
 #: Side of the windows whose medians are compared, px.
@@ -35,14 +34,10 @@ def median(values: Tensor) -> float:
     Returns:
         The median; NaN for no values.
     """
-    if not is_compiled(values) or values.dtype != torch.float32 or values.numel() < MIN_SIZE_OF_COMPILED_MEDIAN:
+    if not is_compiled(values) or not values.numel():
         return float(values.median())
-    from deepir.kernels.compile import parallel_for
-    from deepir.kernels.median_filter import median as median_of_bits
-
-    found = torch.empty(1)
-    parallel_for(median_of_bits, 1, values.contiguous().flatten().view(torch.int32), found.view(torch.int32))
-    return float(found)
+    middle = (values.numel() - 1) // 2
+    return float(np.partition(values.numpy(force=True).ravel(), middle)[middle])
 
 
 def robust_std(values: Tensor) -> float:

@@ -24,8 +24,9 @@ FLOAT32_TOLERANCE = 1e-9
 
 def weighted_least_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
     """`½ Σ w r²`, a float64 scalar with a gradient in the prediction."""
-    nats: Tensor = _WeightedLeastSquares.apply(prediction, data, precision)
-    return nats
+    one = data.new_ones(())
+    level = data.new_zeros(len(data), 1, 1, 1)
+    return sensor_least_squares(prediction.expand_as(data), data, precision, (one, 0 * one, level))
 
 
 def sensor_least_squares(
@@ -53,22 +54,6 @@ def sensor_least_squares(
         log_det = (zero, zero.expand(2), zero.expand(2, 1, 1))
     nats: Tensor = _SensorLeastSquares.apply(flux, data, precision, *sensor, *log_det)
     return nats
-
-
-class _WeightedLeastSquares(torch.autograd.Function):
-    """Weighted least squares; the forward pass computes the gradient, which halves the passes over the frames."""
-
-    @staticmethod
-    def forward(ctx: Any, *frames: Tensor) -> Tensor:
-        compute = gradient_and_loss_cpu if is_compiled(frames[0]) else gradient_and_loss
-        gradient, loss = compute(*frames)
-        ctx.save_for_backward(gradient)
-        return loss
-
-    @staticmethod
-    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, None, None]:
-        (gradient,) = ctx.saved_tensors
-        return _times(upstream, gradient), None, None
 
 
 class _SensorLeastSquares(torch.autograd.Function):
@@ -106,16 +91,6 @@ def gradient_and_loss(prediction: Tensor, data: Tensor, precision: Tensor) -> tu
     residual = prediction - data
     gradient = precision * residual
     return gradient, residual.mul_(gradient).sum(dtype=torch.float64) / 2
-
-
-def gradient_and_loss_cpu(*frames: Tensor) -> tuple[Tensor, Tensor]:
-    """`gradient_and_loss` in one pass over the frames, by a compiled loop."""
-    prediction, data, precision = (each.contiguous() for each in torch.broadcast_tensors(*frames))
-    gradient = torch.empty_like(prediction)
-    loss = torch.empty(prediction.shape[:-1], dtype=torch.float64).flatten()
-    rows = (each.flatten(0, -2) for each in (prediction, data, precision, gradient))
-    run("normal_equations.weighted_residuals", len(loss), *rows, loss)
-    return gradient, loss.sum()
 
 
 def sensor_gradients_and_loss(*given: Tensor) -> tuple[Tensor, Tensor, Tensor]:

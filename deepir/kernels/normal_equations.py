@@ -16,18 +16,6 @@ PIXELS_PER_BLOCK = 512
 
 
 @compiled
-def weighted_residuals(first, last, prediction, data, precision, weighted, nats):
-    """Rows [first, last) of (rows, w): the `weighted` residuals, and their part of the sum, `nats` (rows)."""
-    for i in range(first, last):
-        p, y, w, into, total = prediction[i], data[i], precision[i], weighted[i], 0.0
-        for j in range(len(p)):
-            residual = p[j] - y[j]
-            into[j] = w[j] * residual
-            total += residual * into[j]
-        nats[i] = total / 2
-
-
-@compiled
 def sensor_weighted_residuals(
     first, last, flux, data, precision, gain, offset, level, u, v, system, slope, nats, drift
 ):
