@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from nuc_oracle import aligned, climb, noise_variance
 
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.estimation.prior_weight import adapt_weight_map, weigh_scene

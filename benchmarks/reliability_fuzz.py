@@ -18,9 +18,9 @@ import numpy as np
 from reliability_inputs import SETTINGS, Input, make_input, whole_files
 
 from deepir.config import load
-from deepir.config.schema import Raw
+from deepir.config.schema import Data, Raw
 from deepir.errors import DeepIRError
-from deepir.io import describe, read_frames, stream_frames
+from deepir.io import describe, read_frames, stream_data
 from deepir.io.readers import samples_file
 
 OUTCOMES = ("read", "refused", "other error", "crash", "over 5 s", "over 1 GB")
@@ -114,7 +114,7 @@ def _read(made: Input, folder: Path, *, also_stream: bool) -> None:
         options = {"raw": _raw(made.options["raw"])} if made.options else {}
         describe(read_frames(path, **options))
         if also_stream:
-            for _ in stream_frames(path, **options):
+            for _ in stream_data(Data(path=str(path), **options)):
                 pass
             samples_file(path)
 

@@ -17,8 +17,7 @@ import torch
 
 import deepir
 from deepir import burst as bursts
-from deepir.assembly.data_sets import FIRST, build_data_sets, data_sets
-from deepir.assembly.problem import build
+from deepir.assembly import FIRST, build, build_data_sets, data_sets
 from deepir.config import Config
 from deepir.config.schema import DataSet
 from deepir.errors import ConfigError, DataError, DeepIRError

@@ -13,7 +13,13 @@ import scipy.io
 import tifffile
 from PIL import Image
 
-from deepir.io import read_frames, stream_frames
+from deepir.config.schema import Data
+from deepir.io import read_frames, stream_data
+
+
+def stream_frames(path, **layout):
+    """Frame after frame of a file, all of each."""
+    return stream_data(Data(path=str(path), **layout))
 
 
 def npz(path, frames):

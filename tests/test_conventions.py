@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from scipy.interpolate import BSpline
 
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.fields.sensor_maps import Pixel

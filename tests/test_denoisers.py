@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.packages import unit_range

@@ -10,7 +10,7 @@ import pytest
 import torch
 from small_problems import PROBLEMS, difference, frames_of, solved
 
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import load as load_burst
 from deepir.config import load
 from deepir.kernels import threads

@@ -131,7 +131,7 @@ def test_every_key_is_documented_with_its_default():
 
 
 def test_what_a_slot_may_hold_is_documented():
-    from deepir.assembly.problem import SLOT_KEYS
+    from deepir.assembly import SLOT_KEYS
 
     assert {key.strip("`") for key, _ in rows(CONFIGURATION, "## Unknowns")} == set(SLOT_KEYS)
 

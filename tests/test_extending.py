@@ -13,7 +13,7 @@ from documentation import ROOT, blocks, files
 
 import deepir
 from deepir import registry
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.shading import low_order_unknowns

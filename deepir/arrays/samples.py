@@ -45,6 +45,13 @@ def as_float32(frame: Array) -> Array:
     return samples
 
 
+def mixed_deviation(frames: Array) -> float:
+    """Robust standard deviation of a sample's noise, from mixed second differences of frames (N, h, w); NaN of none."""
+    mixed = np.abs(frames[:, 1:, 1:] - frames[:, :-1, 1:] - frames[:, 1:, :-1] + frames[:, :-1, :-1])
+    known = mixed[np.isfinite(mixed)]
+    return MAD_TO_SIGMA * float(np.median(known)) / 2 if known.size else float("nan")
+
+
 def pattern_outliers(pattern: Array, known: Array) -> Array:
     """Pixels whose pattern (h, w) is far from what their neighbours' lets expect, bool; columns and rows may differ."""
     from deepir.kernels.median_filter import median_filter

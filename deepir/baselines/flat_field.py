@@ -9,9 +9,9 @@ import numpy as np
 from deepir.baselines.rival import Array, correct_and_average
 from deepir.burst import Burst
 from deepir.calibration import maps_from_flats, mean_frame
-from deepir.config import Config
+from deepir.config import Config, Data
 from deepir.errors import ConfigError, DataError
-from deepir.io import stream_frames
+from deepir.io import stream_data
 from deepir.registry import register
 from deepir.result import Result
 
@@ -52,7 +52,7 @@ def flat_field(
 
 def read_flat(path: str, option: str, size: tuple[int, int]) -> Array:
     """Mean (h, w) of the frames of a file; a DataError if they differ from `size` (h, w)."""
-    found = mean_frame(stream_frames(path), path)
+    found = mean_frame(stream_data(Data(path=path)), path)
     if found.shape != size:
         raise DataError(
             f"{path}: frames of {found.shape[0]} x {found.shape[1]} px (method.{option}), the burst's have "

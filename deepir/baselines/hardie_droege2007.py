@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 from torch import Tensor
 
 from deepir.arrays.statistics import sample_noise
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.baselines.rival import register_burst, result_of
 from deepir.burst import Burst
 from deepir.closed_form.conjugate_gradient import conjugate_gradient

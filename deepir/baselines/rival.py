@@ -14,7 +14,7 @@ import torch
 from scipy import ndimage
 
 from deepir.arrays.windows import fill_nearest
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.motion_models import homographies

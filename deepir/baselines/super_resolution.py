@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from deepir import weights
 from deepir.arrays.windows import fill_nearest
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.baselines.rival import (
     Array,
     estimate_scene,

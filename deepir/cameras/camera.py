@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -51,22 +50,29 @@ class Camera:
         self.close()
 
 
-@dataclass(frozen=True)
-class Captured:
-    """A burst as the camera gave it.
+def camera_frames(camera: Camera) -> Iterator[Array]:
+    """The newest frame of an open camera, again and again.
 
-    Attributes:
-        frames: (N, h, w).
-        times: (N,), s after the first frame.
-        longest_freeze: Longest time without a new picture between two frames, s.
+    Raises:
+        DataError: None has come for `FRAME_TIMEOUT`, or the camera is gone.
     """
+    last = time.monotonic()
+    while True:
+        frame, now = camera.read(), time.monotonic()
+        if frame is not None:
+            last = now
+            yield frame
+        elif now - last > FRAME_TIMEOUT:
+            raise DataError(
+                f"the camera has sent nothing for {FRAME_TIMEOUT:g} s: is it busy? Else unplug it and plug it in again"
+            )
+        else:
+            time.sleep(POLL_INTERVAL)
 
-    frames: Array
-    times: Array
-    longest_freeze: float
 
-
-def capture(camera: Camera, count: int, every: float, on_frame: Callable[[Sequence[Array]], None]) -> Captured:
+def capture(
+    camera: Camera, count: int, every: float, on_frame: Callable[[Sequence[Array]], None]
+) -> tuple[Array, Array, float]:
     """Take frames from a camera; pictures identical to the last one are skipped.
 
     Args:
@@ -75,43 +81,36 @@ def capture(camera: Camera, count: int, every: float, on_frame: Callable[[Sequen
         every: Least time between two frames, s.
         on_frame: Called with all frames so far after each.
 
+    Returns:
+        The frames (N, h, w), their times (N,), s after the first, and the longest time without a new picture, s.
+
     Raises:
         DataError: No new picture arrives for `FRAME_TIMEOUT`, or the size changes.
     """
     frames: list[Array] = []
     times: list[float] = []
-    last: Array | None = None
-    waiting: float | None = None  # since when nothing new came
-    longest_freeze = 0.0
-    while len(frames) < count:
-        frame, now = camera.read(), time.monotonic()
-        if frame is None or (last is not None and np.array_equal(frame, last)):
-            waiting = now if waiting is None else waiting
-            if now - waiting > FRAME_TIMEOUT:
-                raise _silence(last)
+    last, seen, freeze = None, 0.0, 0.0
+    for frame in camera_frames(camera):
+        now = time.monotonic()
+        if last is not None and np.array_equal(frame, last):
+            if now - seen > FRAME_TIMEOUT:
+                raise DataError(
+                    f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter "
+                    "is closed, it is frozen, or something reduces its noise to nothing"
+                )
             time.sleep(POLL_INTERVAL)
             continue
         if frame.ndim != 2 or (last is not None and frame.shape != last.shape):
             raise DataError(f"the camera gives frames of shape {frame.shape}; one size (h, w) is needed")
-        if frames and waiting is not None:
-            longest_freeze = max(longest_freeze, now - waiting)
-        last, waiting = frame, None
+        freeze = max(freeze, now - seen) if frames else 0.0
         if not times or now - times[-1] >= every:
             frames.append(frame.copy())
             times.append(now)
             on_frame(frames)
-    return Captured(np.stack(frames), np.array(times) - times[0], longest_freeze)
-
-
-def _silence(last: Array | None) -> DataError:
-    if last is None:
-        return DataError(
-            f"the camera has sent nothing for {FRAME_TIMEOUT:.0f} s: unplug it and plug it in again, and try once more"
-        )
-    return DataError(
-        f"the camera's picture has not changed for {FRAME_TIMEOUT:.0f} s, not even by noise: its shutter is closed, "
-        "it is frozen, or something reduces its noise to nothing"
-    )
+        if len(frames) == count:
+            break
+        last, seen = frame, time.monotonic()
+    return np.stack(frames), np.array(times) - times[0], freeze
 
 
 def motion_span(frames: Sequence[Array]) -> tuple[float, float] | None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -75,23 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status. 0: finished. 1: the solve failed, or an internal error. 2: an error that the user can fix;
         nothing was written. 130, 143: interrupted by Ctrl-C or SIGTERM, the state is saved.
     """
-    with standard_streams(), printed_warnings(), _rare_collections():
+    gc.set_threshold(NEW_OBJECTS)
+    with standard_streams(), printed_warnings():
         try:
             Path.cwd()
         except FileNotFoundError:
             return _print_error("the current folder was deleted: go to another one", 2)
         return _run(list(sys.argv[1:] if arguments is None else arguments))
-
-
-@contextmanager
-def _rare_collections() -> Iterator[None]:
-    """A context in which Python looks for garbage rarely: imports make a million objects and no garbage."""
-    before = gc.get_threshold()
-    gc.set_threshold(NEW_OBJECTS)
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
 
 
 def _run(given: list[str]) -> int:

@@ -90,7 +90,7 @@ def recording_radiometry(config: Config) -> Radiometry | None:
     from deepir.paths import expanded
 
     data = config.data
-    found = readers.opened(expanded(str(data.path)), data.key).radiometry() if data.raw is None else None
+    found = readers.opened(expanded(str(data.path)), data.key).radiometries()[0] if data.raw is None else None
     return resolve_radiometry(found, data.radiometry)
 
 

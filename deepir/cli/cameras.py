@@ -54,15 +54,15 @@ def capture(
         from deepir.io import write_npz
 
         with open_camera(camera, settings or ()) as opened:
-            burst = take(opened, frames, every, on_frame)
-        write_npz(out, {"frames": burst.frames, "time": burst.times})
-    if burst.longest_freeze > FREEZE_TIME:
+            burst, times, freeze = take(opened, frames, every, on_frame)
+        write_npz(out, {"frames": burst, "time": times})
+    if freeze > FREEZE_TIME:
         notify(
-            f"warning: the picture stood still for {burst.longest_freeze:.1f} s within the burst, as when the shutter "
+            f"warning: the picture stood still for {freeze:.1f} s within the burst, as when the shutter "
             "closes: the pattern may have changed then. Switch the automatic correction off, or take the burst again"
         )
-    size = " x ".join(map(str, burst.frames.shape[1:]))
-    echo(f"{out}: {frames} frame(s) of {size} px, {burst.frames.dtype}, in {burst.times[-1]:.1f} seconds")
+    size = " x ".join(map(str, burst.shape[1:]))
+    echo(f"{out}: {frames} frame(s) of {size} px, {burst.dtype}, in {times[-1]:.1f} seconds")
     echo(f"does it move enough? deepir analyze {out}")
     echo(f"to correct it: deepir run nuc data.path={out}")
 

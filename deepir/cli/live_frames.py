@@ -13,6 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from deepir.cameras.camera import Camera
+from deepir.cameras.camera import camera_frames as frames_of
 from deepir.cli.arguments import recording_radiometry
 from deepir.cli.terminal import Interrupted, Interruptible, notify
 from deepir.config import Config
@@ -60,7 +61,7 @@ def open_camera(name: str, settings: Sequence[str]) -> Iterator[Camera]:
 
 def camera_frames(camera: Camera, kept: KeptMaps | None, corrector: Corrector) -> Iterable[Array]:
     """The frames (h, w) of a camera; with the first one the corrector begins with the maps that are kept, if any."""
-    for number, frame in enumerate(sources.camera_frames(camera)):
+    for number, frame in enumerate(frames_of(camera)):
         if number == 0 and kept and (maps := kept.read(frame.shape)) is not None:
             corrector.begin(maps)
             notify(f"begins with the camera's maps of {kept.date}, {kept.path}; --maps FILE takes others")

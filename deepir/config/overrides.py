@@ -140,27 +140,25 @@ def apply_setting(whole: dict[str, Any], key: str, value: Any) -> None:
     """
     *path, last = key.split(".")
     node: Any = whole
-    for depth, part in enumerate(path):
-        node = _inner(node, part, ".".join(path[: depth + 1]), key)
+    for depth, part in enumerate(path, 1):
+        step = _index(node, part, key)
+        if isinstance(node, dict) and node.get(step) is None:
+            node[step] = {}
+        elif isinstance(node[step], str) and path[0] in COMPONENT_SECTIONS:
+            node[step] = {"type": node[step]}
+        node = node[step]
+        if not isinstance(node, dict | list):
+            raise ConfigError(f"{key}: {'.'.join(path[:depth])} is {node!r}, which has no keys")
     last = _index(node, last, key)
-    if value is None:
-        _remove(node, last, key)
-    elif isinstance(value, str) and isinstance(node, dict) and "type" in _mapping(node.get(last)):
-        node[last]["type"] = value
+    there = node.get(last) if isinstance(node, dict) else None
+    if value is None and (isinstance(node, list) or last in node):
+        del node[last]
+    elif value is None and key.partition(".")[0] in COMPONENT_SECTIONS:
+        raise ConfigError(f"{key}=null: there is no '{last}' to remove; {nearest(str(last), map(str, node))}")
+    elif isinstance(value, str) and isinstance(there, dict) and "type" in there:
+        there["type"] = value
     else:
-        node[last] = value
-
-
-def _inner(node: Any, part: str, where: str, key: str) -> Any:
-    """The value of `node` under `part`, as a mapping or list."""
-    step = _index(node, part, key)
-    if isinstance(node, dict) and node.get(step) is None:
-        node[step] = {}
-    elif isinstance(node[step], str) and where.partition(".")[0] in COMPONENT_SECTIONS:
-        node[step] = {"type": node[step]}
-    if not isinstance(node[step], dict | list):
-        raise ConfigError(f"{key}: {where} is {node[step]!r}, which has no keys")
-    return node[step]
+        node[last] = value  # of null, for the schema to judge
 
 
 def _index(node: Any, part: str, key: str) -> Any:
@@ -169,16 +167,3 @@ def _index(node: Any, part: str, key: str) -> Any:
     if part.isdecimal() and int(part) < len(node):
         return int(part)
     raise ConfigError(f"{key}: no entry '{part}' in a list of {len(node)}; entries are counted from 0")
-
-
-def _remove(node: Any, last: Any, key: str) -> None:
-    if isinstance(node, list) or last in node:
-        del node[last]
-    elif key.partition(".")[0] in COMPONENT_SECTIONS:
-        raise ConfigError(f"{key}=null: there is no '{last}' to remove; {nearest(str(last), map(str, node))}")
-    else:
-        node[last] = None  # for the schema to judge
-
-
-def _mapping(value: Any) -> dict[str, Any]:
-    return value if isinstance(value, dict) else {}

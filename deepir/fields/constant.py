@@ -7,8 +7,10 @@ from contextlib import suppress
 import torch
 from torch import Tensor
 
+from deepir.arrays.samples import as_float32
 from deepir.errors import ConfigError
 from deepir.fields.base import Field, Shape
+from deepir.paths import expanded
 from deepir.registry import register
 
 
@@ -52,7 +54,8 @@ class Constant(Field):
 
 def read_map(path: str, key: str | None = None) -> Tensor:
     """The array of a file: one of more than three axes as it is stored, else maps (N, h, w)."""
-    from deepir.io import read_array, read_frames  # not above: it is slow to import
+    from deepir.io import read_frames, readers  # not above: it is slow to import
 
-    stored = read_array(path, key=key)
-    return torch.from_numpy(stored if stored.ndim > 3 else read_frames(path, key=key).frames)
+    stored = readers.opened(expanded(path), key).read()
+    whole = stored.ndim > 3 and stored.dtype.kind in "fiub"
+    return torch.from_numpy(as_float32(stored) if whole else read_frames(path, key=key).frames)

@@ -1,6 +1,6 @@
 """Files in and out: frames, masks and truths as NumPy arrays, checked before anything is solved."""
 
-from deepir.io.frames import Frames, cropped, read_array, read_data, read_frames, stream_data, stream_frames
+from deepir.io.frames import Frames, cropped, read_data, read_frames, stream_data
 from deepir.io.inspection.checks import crop, validate
 from deepir.io.inspection.describe import describe
 from deepir.io.maps import fit_truth, read_mask, read_truth
@@ -22,13 +22,11 @@ __all__ = [
     "cropped",
     "describe",
     "fit_truth",
-    "read_array",
     "read_data",
     "read_frames",
     "read_mask",
     "read_truth",
     "stream_data",
-    "stream_frames",
     "validate",
     "write_json",
     "write_mat",

@@ -206,52 +206,21 @@ def read_frames(
     return Frames(frames, source, dtype.name, digest(file), laws[0], unselected_pairs(stored, select))
 
 
-def read_array(path: str | os.PathLike[str], *, key: str | None = None) -> Array:
-    """Read an array of any number of axes from a file, as float32.
-
-    Args:
-        path: The file, folder or glob.
-        key: Name of the array in a file that holds several.
-
-    Raises:
-        DataError: It cannot be read, or holds no numbers.
-    """
-    file = expanded(path)
-    stored = readers.opened(file, key).read()
-    if stored.dtype.kind not in "fiub":
-        raise DataError(f"{file}: values of type {stored.dtype.name}; real numbers are needed")
-    return as_float32(stored)
-
-
-def stream_frames(
-    path: str | os.PathLike[str],
-    *,
-    key: str | None = None,
-    raw: Raw | None = None,
-    axes: str | None = None,
-    swap_bytes: bool | None = None,
-    radiometry: schema.Radiometry | None = None,
-) -> Iterator[Array]:
-    """Frame after frame (h, w), in the stored type, of a recording that may be larger than the memory.
-
-    Args: as those of `read_frames`. Lost samples are masked.
-
-    Raises:
-        DataError: As `read_frames`.
-    """
-    recording = _opened(path, key, raw)
+def _as_stored(data: schema.Data) -> Iterator[Array]:
+    """Frame after frame (h, w), all of each; lost samples are masked."""
+    recording = _opened(str(data.path), data.key, data.raw)
     source, any_axes = recording.source, recording.reader.any_axes
     first = _first_frames(_stream(recording), BLOCK_SIDE if any_axes else SAMPLED_FRAMES)
-    if axes not in (None, USUAL) or (axes is None and any_axes and turned_axes(first) is not None):
-        first = oriented(to_stack(recording.read(), str(recording.path)), axes, source)
+    if data.axes not in (None, USUAL) or (data.axes is None and any_axes and turned_axes(first) is not None):
+        first = oriented(to_stack(recording.read(), str(recording.path)), data.axes, source)
         frames = iter(first)
     else:
         frames = _stream(recording)
-    in_order(first, swap_bytes, source, advice=_RAW_ORDER if raw else "")
-    frames = _unwrapped(map(swapped, frames) if swap_bytes else frames, source)
+    in_order(first, data.swap_bytes, source, advice=_RAW_ORDER if data.raw else "")
+    frames = _unwrapped(map(swapped, frames) if data.swap_bytes else frames, source)
     laws = recording.radiometries()
     if len(laws) > 1:
-        frames = as_of_frame_0(frames, laws, radiometry, source)
+        frames = as_of_frame_0(frames, laws, data.radiometry, source)
     for frame in frames:
         lost = lost_samples(np.ma.getdata(frame)[None], frame.dtype)
         yield frame if lost is None else masked(frame, lost[0])
@@ -259,12 +228,17 @@ def stream_frames(
 
 def read_data(data: schema.Data, *, bands: bool = False) -> Frames:
     """`read_frames` with the settings of a configuration; `data.crop` is left to the caller."""
-    return read_frames(str(data.path), select=data.frames, grey_within=data.crop, bands=bands, **_layout(data))
+    layout = {name: getattr(data, name) for name in ("key", "raw", "axes", "swap_bytes", "radiometry")}
+    return read_frames(str(data.path), select=data.frames, grey_within=data.crop, bands=bands, **layout)
 
 
 def stream_data(data: schema.Data) -> Iterator[Array]:
-    """`stream_frames` with the settings of a configuration, cropped."""
-    frames = stream_frames(str(data.path), **_layout(data))
+    """Frame after frame (h, w), in the stored type, cropped, of a recording that may be larger than the memory.
+
+    Raises:
+        DataError: As `read_frames`.
+    """
+    frames = _as_stored(data)
     return cropped(frames if data.frames is None else _chosen(frames, data.frames), data.crop)
 
 
@@ -289,11 +263,6 @@ def _chosen(frames: Iterator[Array], select: str | int | Sequence[int]) -> Itera
 def cropped(frames: Iterable[Array], box: Sequence[int] | None) -> Iterator[Array]:
     """The part `data.crop` of frame after frame; all of each if it is None."""
     return iter(frames) if box is None else (crop(frame, box) for frame in frames)
-
-
-def _layout(data: schema.Data) -> dict[str, Any]:
-    """The settings that say how stored numbers are to be understood."""
-    return {name: getattr(data, name) for name in ("key", "raw", "axes", "swap_bytes", "radiometry")}
 
 
 def _opened(path: str | os.PathLike[str], key: str | None, raw: Raw | None) -> readers.Recording:

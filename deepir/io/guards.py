@@ -31,10 +31,6 @@ log = logging.getLogger("deepir")
 _judged: ContextVar[tuple[slice, slice]] = ContextVar("judged", default=(slice(None), slice(None)))
 
 
-class ColourError(DataError):
-    """A picture is in colour."""
-
-
 def import_optional(library: str, extra: str, what: str) -> Any:
     """Import a library that only some formats need.
 
@@ -114,7 +110,7 @@ def to_grey(pixels: Array, path: Path, *, tolerance: float = 0.0) -> Array:
         (...); masked where few pixels are coloured (a marker or text).
 
     Raises:
-        ColourError: More pixels are coloured.
+        DataError: More pixels are coloured.
     """
     channels = pixels.shape[-1]
     first = pixels[..., 0]
@@ -124,10 +120,11 @@ def to_grey(pixels: Array, path: Path, *, tolerance: float = 0.0) -> Array:
     most = tolerance * np.iinfo(pixels.dtype).max if tolerance else 0
     coloured = np.ptp(wide, axis=-1) > most
     if coloured[(..., *_judged.get())].mean() > (MAX_COLOURED_LOSSY if tolerance else MAX_COLOURED):
-        raise ColourError(
+        raise DataError(
             f"{path}: a colour picture. A palette picture carries no radiometry: colours cannot be turned "
             "back into flux. Export raw 16-bit data (TIFF or PNG), or at least a white-hot grey picture. If only a "
-            "bar or a legend at its edge is in colour, take it off with data.crop"
+            "bar or a legend at its edge is in colour, take it off with data.crop. If it is the visible picture beside "
+            f"a thermal one, name the thermal ones with a glob, such as '{path.parent}/*_T.jpg'"
         )
     return masked(first, coloured)
 
@@ -170,13 +167,6 @@ class FileBytes:
                 return start + at
             start += SEARCH_BYTES - len(what) + 1
         return -1
-
-
-def read_samples(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int]) -> Array:
-    """An array in C order; arguments as those of `stream_planes`. The file holds them, as its caller has checked."""
-    size = math.prod(shape) * dtype.itemsize
-    check_size(path, size, size)
-    return np.fromfile(path, dtype, math.prod(shape), offset=offset).reshape(shape)
 
 
 def stream_planes(path: Path, dtype: np.dtype[Any], offset: int, shape: Sequence[int], gap: int = 0) -> Iterator[Array]:

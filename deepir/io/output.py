@@ -211,7 +211,10 @@ def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
         def write(frame: Array) -> None:
             nonlocal track, low, high
             if track is None:
-                track = _track(av, container, frame.shape)
+                codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
+                track = container.add_stream(codec, rate=FILM_FRAME_RATE)
+                track.height, track.width = (side // 2 * 2 for side in frame.shape)
+                track.pix_fmt = "yuv420p"
                 low, high = display_limits(frame)
             shades = stretch(frame, low, high) if mapping == PERCENTILE else TONE_MAPPINGS[mapping](frame)
             picture = colours[np.round(255 * shades[: track.height, : track.width]).astype(np.uint8)]
@@ -243,14 +246,6 @@ def write_frames(frames: Iterable[Array], write: Write) -> int:
         if written is not None:
             written.result()
     return count
-
-
-def _track(av: Any, container: Any, shape: tuple[int, ...]) -> Any:
-    codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-    track = container.add_stream(codec, rate=FILM_FRAME_RATE)
-    track.height, track.width = (side // 2 * 2 for side in shape)
-    track.pix_fmt = "yuv420p"
-    return track
 
 
 def open_writer(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any], palette: str, mapping: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io.guards import check_size, read_samples, stream_planes, warn_once
+from deepir.io.guards import stream_planes, warn_once
 from deepir.io.readers import Array, Reader
 
 MIN_WIDTH, MIN_ROWS = 24, 8  # px of a width that is looked for, and rows of it
@@ -28,20 +27,6 @@ class Headerless(Reader):
     """Frames of uint8 or uint16 unless the layout names another type; bits above the layout's are cleared."""
 
     layout: Raw
-
-    def read(self, path: Path, key: str | None) -> Array:
-        """All frames (N, h, w).
-
-        Raises:
-            DataError: The file does not hold a whole number of such frames.
-        """
-        dtype, shape = stored_array(path, self.layout)
-        if self.layout.gap:
-            check_size(path, math.prod(shape) * dtype.itemsize, path.stat().st_size)
-            return np.stack(list(self.stream(path, key)))
-        samples = clear_unused_bits(read_samples(path, dtype, self.layout.offset, shape), self.layout)
-        _hint_at_width(samples[0], path)
-        return samples
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Frame after frame (h, w)."""

@@ -11,7 +11,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from deepir.cameras.camera import FRAME_TIMEOUT, POLL_INTERVAL, Camera
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
@@ -26,24 +25,6 @@ NO_DEVICE = (
     "OBS Studio and start its virtual camera once"
 )
 RATE_OVER = 30  # frames, over which the rate is measured
-
-
-def camera_frames(camera: Camera) -> Iterator[Array]:
-    """The newest frame of an open camera, again and again.
-
-    Raises:
-        DataError: None has come for `FRAME_TIMEOUT`, or the camera is gone.
-    """
-    last = time.monotonic()
-    while True:
-        frame, now = camera.read(), time.monotonic()
-        if frame is not None:
-            last = now
-            yield frame
-        elif now - last > FRAME_TIMEOUT:
-            raise DataError(f"the camera has sent no frame for {FRAME_TIMEOUT:g} s: is it unplugged, or busy?")
-        else:
-            time.sleep(POLL_INTERVAL)
 
 
 def stream_raw(stream: IO[bytes], layout: Raw) -> Iterator[Array]:

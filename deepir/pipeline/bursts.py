@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deepir.assembly.data_sets import FIRST
-from deepir.assembly.problem import build, make_operator
+from deepir.assembly import FIRST, build, make_operator
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import ConfigError, DataError

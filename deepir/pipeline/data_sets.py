@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deepir.assembly.data_sets import FIRST, build_data_sets, data_sets
+from deepir.assembly import FIRST, build_data_sets, data_sets
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.errors import DataError

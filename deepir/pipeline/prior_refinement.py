@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from deepir.arrays.windows import fill_nearest
-from deepir.assembly.problem import build_scene
+from deepir.assembly import build_scene
 from deepir.config import Config
 from deepir.config.components import validate
 from deepir.config.schema import Fit

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import torch
 
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import Config
 from deepir.diagnostics.fit import doubtful_motion, misfit_message, scene_in_pattern_message

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import torch
 
-from deepir.assembly.problem import PIXELS_WITH_TV, build_scene
+from deepir.assembly import PIXELS_WITH_TV, build_scene
 from deepir.fields.base import Scalar
 from deepir.messages import Message
 from deepir.operators import Lag, Warp

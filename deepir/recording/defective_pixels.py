@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.samples import MAD_TO_SIGMA, mixed_deviation
 from deepir.kernels.compile import parallel_for
 from deepir.kernels.median_filter import median_filter
 
@@ -23,8 +23,7 @@ NEIGHBOURHOOD = 7  # px, side of the square of the pixels near
 def noise_deviation(frames: Array) -> float:
     """Robust standard deviation of a sample's noise, from mixed second differences of frames (N, h, w)."""
     some = frames[:: max(1, len(frames) // FRAMES_OF_NOISE)]
-    mixed = some[:, 1:, 1:] - some[:, :-1, 1:] - some[:, 1:, :-1] + some[:, :-1, :-1]
-    return max(MAD_TO_SIGMA * float(np.nanmedian(np.abs(mixed))) / 2, float(np.finfo(np.float32).tiny))
+    return max(mixed_deviation(some), float(np.finfo(np.float32).tiny))
 
 
 def rounding_deviation(frame: Array) -> float:

@@ -8,7 +8,7 @@ import os
 import platform
 import re
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,39 +26,16 @@ LOCK_WAIT = 0.3  # s; a process that comes too late has the first one's name by 
 TEMPORARY_PATTERN = re.compile(r"\.(.+)\.[0-9a-f]{8}(\.\w+)")
 #: All files that a run writes and --overwrite replaces; the configuration is written first, the metrics last.
 RUN_FILES = (
-    "config.yaml",
-    "run.json",
-    "deepir.log",
-    "checkpoint.safetensors",
-    "checkpoint.part",
-    "result.npz",
-    "result.mat",
-    "uncertainty.npz",
-    "scene.tiff",
-    "scene_kelvin.tiff",
-    "scene_preview.png",
-    "summary.png",
-    "flow.png",
-    "report.html",
-    "metrics.json",
-)
+    "config.yaml", "run.json", "deepir.log", "checkpoint.safetensors", "checkpoint.part", "result.npz", "result.mat",
+    "uncertainty.npz", "scene.tiff", "scene_kelvin.tiff", "scene_preview.png", "summary.png", "flow.png",
+    "report.html", "metrics.json",
+)  # fmt: skip
 #: First line of config.yaml, by which a run's folder is recognised.
 CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 
-@dataclass(frozen=True)
-class Lock:
-    """A lock file that this process holds."""
-
-    path: Path
-    status: os.stat_result
-
-    def is_in_place(self) -> bool:
-        """False once the file, or a folder above it, was moved or deleted."""
-        try:
-            return os.path.samestat(self.path.stat(), self.status)
-        except OSError:
-            return False
+#: Whether a lock is in place: not once its file, or a folder above it, was moved or deleted.
+Lock = Callable[[], bool]
 
 
 @contextmanager
@@ -129,14 +106,20 @@ def _locked(path: Path, output: Path) -> Iterator[Lock]:
         ) from None
     except OSError as error:
         raise ConfigError(f"{output}: cannot be written: {error.strerror or error}") from None
-    held = Lock(path, path.stat())
+    status = path.stat()
+
+    def in_place() -> bool:
+        with suppress(OSError):
+            return os.path.samestat(path.stat(), status)
+        return False
+
     try:
         since = time.strftime("%Y-%m-%d %H:%M:%S")
         with suppress(OSError):  # a full disk: whatever is written next says so
             holder.write_text(f"process {os.getpid()} on {platform.node()} since {since}", encoding="utf-8")
-        yield held
+        yield in_place
     finally:
-        if held.is_in_place():
+        if in_place():
             for each in (holder, path):
                 with suppress(OSError):
                     each.unlink()

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from deepir.burst import Burst, Truth
-from deepir.config import Config, Data, dump, read
+from deepir.config import Config, dump, read
 from deepir.errors import ConfigError, DataError, DeepIRError, SolverError
 from deepir.kernels import threads
 from deepir.messages import MAX_SHOWN, labelled, shown
@@ -149,7 +149,7 @@ def run_into(
         except DeepIRError as error:
             if not work.begun and not isinstance(error, SolverError):
                 work.folder.clear()
-            elif work.folder != folder and lock.is_in_place():
+            elif work.folder != folder and lock():
                 raise type(error)(
                     f"{error}; the former result is kept, and the new run can go on: deepir resume {path}"
                 ) from error
@@ -254,7 +254,7 @@ class _Work:
             for line in lines[MAX_SHOWN:]:
                 log.info(line)
             result.metrics["seconds"] = round(result.metrics["seconds"] + self.before, 3)
-            if not self.lock.is_in_place():
+            if not self.lock():
                 raise DataError(
                     f"{folder.path}: this folder was moved or deleted while the run was at work; "
                     "if it was moved, go on with `deepir resume` there"
@@ -291,43 +291,22 @@ def _identity(config: Config, data: Burst) -> str:
 def pin_config(config: Config, folder: RunFolder) -> Config:
     """The configuration with everything fixed that may differ in a later process: absolute paths, threads."""
 
-    def absolute(path: str | None) -> str | None:
-        return None if path is None else os.path.abspath(expanded(path))  # noqa: PTH100 - keeps globs
-
-    def inside(value: Any) -> Any:
-        if not isinstance(value, Mapping):
+    def pinned(value: Any, *where: str) -> Any:
+        if isinstance(value, Mapping):
+            return {key: pinned(each, *where, key) for key, each in value.items()}
+        section, key = where[0], where[-1]
+        always = where[-2] == "data" and key in ("path", "truth", "mask")
+        named = key in ("path", "init", "scene") if section != "method" else key != "type"
+        of_a_set = section == "datasets" and where[2] == "scene"  # shared or own
+        if not isinstance(value, str) or not (always or (named and not of_a_set and Path(value).exists())):
             return value
-        return {
-            key: absolute(each)
-            if key in ("path", "init", "scene") and isinstance(each, str) and Path(each).exists()
-            else inside(each)
-            for key, each in value.items()
-        }
+        return os.path.abspath(expanded(value))  # noqa: PTH100 - keeps globs
 
-    method = config.method
-    if isinstance(method, dict):
-        files = {k: absolute(v) for k, v in method.items() if k != "type" and isinstance(v, str) and Path(v).exists()}
-        method = method | files
-
-    def pinned(data: Data) -> Data:
-        paths = {key: absolute(getattr(data, key)) for key in ("path", "truth", "mask")}
-        return data.model_copy(update={**paths, "simulate": inside(data.simulate)})
-
-    further = {
-        name: each.model_copy(update={"data": pinned(each.data), "physics": inside(each.physics)})
-        for name, each in config.datasets.items()
-    }
-    return config.model_copy(
-        update={
-            "data": pinned(config.data),
-            "datasets": further,
-            "method": method,
-            "physics": inside(config.physics),
-            "scene": inside(config.scene),
-            "output": config.output.model_copy(update={"dir": str(folder.path)}),
-            "threads": config.threads or threads.available(),
-        }
-    )
+    parts = ("data", "datasets", "method", "physics", "scene")
+    whole = config.model_dump()
+    whole |= {name: pinned(whole[name], name) for name in parts if isinstance(whole[name], dict)}
+    whole["output"]["dir"], whole["threads"] = str(folder.path), config.threads or threads.available()
+    return Config.model_validate(whole)
 
 
 def _check_inputs(config: Config, folder: RunFolder) -> None:

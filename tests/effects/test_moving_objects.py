@@ -8,7 +8,7 @@ import torch
 from skimage.data import camera
 
 import deepir
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.moving_objects import _restore_weight, down_weight_moving, foreground

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import deepir
 from deepir.arrays.windows import fill_pull_push
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.outliers import fill_unobserved

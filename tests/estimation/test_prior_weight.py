@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 import deepir
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.estimation.prior_weight import (

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage, special
 
-from deepir.assembly.problem import make_field
+from deepir.assembly import make_field
 from deepir.errors import ConfigError
 from deepir.fields.constant import Constant
 from deepir.fields.psf import Airy, Defocus, Gaussian, Kernel, MotionBlur, Simplex

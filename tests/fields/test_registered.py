@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deepir.assembly.problem import make_field
+from deepir.assembly import make_field
 from deepir.errors import ConfigError
 from deepir.fields.base import Bounded, Pixels
 from deepir.registry import components

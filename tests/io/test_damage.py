@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from deepir.arrays.samples import as_float32
 from deepir.errors import DeepIRError
-from deepir.io import read_frames, readers, stream_frames
+from deepir.io import read_frames, readers
 from deepir.kernels.memory import peak_memory
 
 RAMP = np.arange(2 * 18 * 16, dtype=np.uint16).reshape(2, 18, 16)
@@ -53,7 +53,7 @@ def read_or_refuse(path, content):
     path.write_bytes(content)
     begun = time.perf_counter()
     frames = refused_in_one_line(path, lambda: read_frames(path).frames)
-    streamed = refused_in_one_line(path, lambda: list(stream_frames(path)))
+    streamed = refused_in_one_line(path, lambda: list(recordings.stream_frames(path)))
     assert time.perf_counter() - begun < 5  # seconds
     if frames is not None and streamed is not None:
         np.testing.assert_array_equal([as_float32(frame) for frame in streamed], frames)

@@ -6,14 +6,14 @@ import recordings
 import tifffile
 from PIL import Image
 
-from deepir.io import read_frames, stream_frames
+from deepir.io import read_frames
 from deepir.io.inspection.samples import FILL_VALUES, lost_samples
 
 
 def assert_lost(path, expected):
     """These samples of a file, and no others, are lost, whole and frame by frame."""
     np.testing.assert_array_equal(np.isnan(read_frames(path).frames), expected)
-    np.testing.assert_array_equal([np.ma.getmaskarray(frame) for frame in stream_frames(path)], expected)
+    np.testing.assert_array_equal([np.ma.getmaskarray(frame) for frame in recordings.stream_frames(path)], expected)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from PIL import Image
 from recordings import assert_read, needs
 
 from deepir.config.schema import Raw
-from deepir.io import read_frames, readers, stream_frames
+from deepir.io import read_frames, readers
 
 
 def layout(**given):
@@ -31,7 +31,7 @@ def test_every_format_gives_its_frames_exactly_whatever_the_name(tmp_path, burst
     np.testing.assert_array_equal(read.frames, np.resize(burst, read.frames.shape).astype(stored))
     has_one = kind.startswith(("png", "picture", "flir_jpeg", "dji_jpeg", "infiray_jpeg"))
     assert len(read.frames) == (1 if has_one else 3)
-    streamed = list(stream_frames(path))
+    streamed = list(recordings.stream_frames(path))
     assert {frame.dtype.newbyteorder("=") for frame in streamed} == {np.dtype(stored)}
     np.testing.assert_array_equal(streamed, read.frames)
 
@@ -251,7 +251,7 @@ def test_what_float32_cannot_hold_becomes_infinite(tmp_path):
 
 def test_nine_gib_are_streamed(tmp_path):
     recordings.sparse_npy(tmp_path / "a.npy", (9 * 2**10, 2**10, 2**10))
-    assert next(stream_frames(tmp_path / "a.npy")).shape == (2**10, 2**10)
+    assert next(recordings.stream_frames(tmp_path / "a.npy")).shape == (2**10, 2**10)
 
 
 def test_nothing_here_imports_torch():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from deepir.config.schema import Radiometry as Asked
 from deepir.errors import ConfigError
-from deepir.io import read_frames, stream_frames, write_tiff
+from deepir.io import read_frames, write_tiff
 from deepir.io.radiometry import KELVIN, Linear, Planck, air_transmission, resolve_radiometry, unit_metadata
 from deepir.io.readers import flir
 
@@ -187,7 +187,7 @@ def test_each_frame_of_a_recording_has_its_own_constants(tmp_path, monkeypatch, 
     (tmp_path / "a.seq").write_bytes(counted(monkeypatch) + counted(monkeypatch, **changes))
     read = read_frames(tmp_path / "a.seq")
     assert "what makes kelvin of counts changes, at frame 1 first" in caplog.text
-    for frames in (read.frames, np.stack(list(stream_frames(tmp_path / "a.seq")))):
+    for frames in (read.frames, np.stack(list(recordings.stream_frames(tmp_path / "a.seq")))):
         np.testing.assert_allclose(read.radiometry.kelvin(frames), np.stack([HEAT, HEAT]), atol=0.1)
 
 
@@ -210,4 +210,4 @@ def test_what_the_user_says_of_the_scene_holds_for_all_frames(tmp_path, monkeypa
 
 def test_constants_that_stay_leave_the_counts_as_they_are(tmp_path, burst):
     recordings.seq(tmp_path / "a.seq", burst)
-    assert {frame.dtype for frame in stream_frames(tmp_path / "a.seq")} == {np.dtype(np.uint16)}
+    assert {frame.dtype for frame in recordings.stream_frames(tmp_path / "a.seq")} == {np.dtype(np.uint16)}

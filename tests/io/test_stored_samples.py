@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import tifffile
-from recordings import assert_read
+from recordings import assert_read, stream_frames
 
 from deepir.config.schema import Raw
 from deepir.errors import DataError
-from deepir.io import read_frames, stream_frames
+from deepir.io import read_frames
 from deepir.io.inspection.samples import are_swapped, wrapped_type
 from deepir.simulate import Settings, simulate
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.closed_form.variable_projection import COLUMN
 from deepir.config import load

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import deepir
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError

@@ -6,7 +6,7 @@ import torch
 from scipy.interpolate import BSpline
 
 import deepir
-from deepir.assembly.problem import build
+from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DataError

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from deepir.calibration import CorrectionMaps
+from deepir.cameras.camera import camera_frames
 from deepir.config.schema import Raw
 from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, MIN_QUICK_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
-from deepir.live.sources import camera_frames, stream_raw
+from deepir.live.sources import stream_raw
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import WINDOW, ChosenFrames
 from deepir.recording.segments import Segment
@@ -245,10 +246,10 @@ class Unplugged:
 
 
 def test_a_camera_that_falls_silent_is_an_error(walk, monkeypatch):
-    monkeypatch.setattr("deepir.live.sources.FRAME_TIMEOUT", 0.05)
+    monkeypatch.setattr("deepir.cameras.camera.FRAME_TIMEOUT", 0.05)
     frames = camera_frames(Unplugged(walk.frames[:2]))
     assert len([next(frames), next(frames)]) == 2
-    with pytest.raises(Exception, match="no frame for"):
+    with pytest.raises(Exception, match="has sent nothing for"):
         next(frames)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.samples import MAD_TO_SIGMA
+from deepir.arrays.samples import mixed_deviation
 from deepir.io.frames import Frames
 from deepir.io.inspection.checks import (
     has_neighbours,
@@ -43,10 +43,10 @@ def describe(burst: Frames) -> list[str]:
     lines += _unusable(burst, finite)
     unusable = unusable_frames(frames)
     lines += [f"frame {k} shows nothing: it is {why}" for k, why in unusable.items()]
-    frames = _without(frames, [*unusable], axis=0)
+    frames = np.delete(frames, [*unusable], axis=0)
     if len(frames) and (rows := telemetry_rows(frames)):
         lines.append(telemetry_message(rows, (height, width)))
-        frames = _without(frames, rows, axis=1)
+        frames = np.delete(frames, rows, axis=1)
     lines += torn_message(torn_frames(frames), len(frames))
     if np.isfinite(frames).any() and (empty := unrecorded_samples(frames)).any():
         lines.append(f"{int(empty.sum())} sample(s) hold nothing: zeros far below all others, or bars at the edge")
@@ -57,12 +57,8 @@ def describe(burst: Frames) -> list[str]:
     repeats = [k for k in range(1, len(frames)) if frames[k].tobytes() == frames[k - 1].tobytes()]
     if 0 < len(repeats) < len(frames) - 1:
         lines.append(f"{len(repeats)} frame(s) repeat the one before them; a run leaves them out")
-        frames = _without(frames, repeats, axis=0)
+        frames = np.delete(frames, repeats, axis=0)
     return lines + _noise_and_motion(frames)
-
-
-def _without(frames: Array, numbers: list[int], axis: int) -> Array:
-    return np.delete(frames, numbers, axis) if numbers else frames
 
 
 def _temperatures(burst: Frames, finite: Array) -> list[str]:
@@ -130,25 +126,11 @@ def _pairs(frames: Array) -> tuple[Array, Array]:
 
 
 def temporal_noise(frames: Array) -> float:
-    """Temporal noise of a sample from differences of consecutive frames.
-
-    Differences cancel the fixed pattern; the diagonal detail of 2 x 2 blocks cancels most of the motion, but not fine
-    texture: with motion it is an upper bound.
-
-    Args:
-        frames: (N, h, w).
-
-    Returns:
-        Standard deviation, in the data's units; NaN if there is no such difference.
-
-    Source: the median estimate of Donoho and Johnstone, Ideal spatial adaptation by wavelet shrinkage (1994).
+    """Temporal noise of a sample (N, h, w), from differences of consecutive frames: with motion an upper bound, as of
+    fine texture; NaN if there is no such difference.
     """
-    with np.errstate(invalid="ignore"):
-        first, second = (each[:, : frames.shape[1] // 2 * 2, : frames.shape[2] // 2 * 2] for each in _pairs(frames))
-        d = second - first
-        detail = (d[:, ::2, ::2] - d[:, ::2, 1::2] - d[:, 1::2, ::2] + d[:, 1::2, 1::2]) / 2
-    detail = np.abs(detail[np.isfinite(detail)])
-    return float(MAD_TO_SIGMA * np.median(detail) / np.sqrt(2)) if detail.size else float("nan")
+    first, second = _pairs(frames)
+    return mixed_deviation(second - first) / 2**0.5
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:

@@ -56,28 +56,25 @@ class Reader:
         Here the frames of `stream`: `DataError` if they differ in size, or exceed what the file can hold.
         """
         found: list[Array] = []
-        stored, total = path.stat().st_size, 0
-        for frame in self.stream(path, key):
-            total += frame.nbytes
+        stored, total = self.samples_file(path).stat().st_size, 0
+        for piece in self.stream(path, key):
+            total += piece.nbytes
             check_size(path, total, stored, compressed=True)
-            found.append(frame)
-            if frame.shape != found[0].shape:
-                raise DataError(f"{path}: frames differ in size: {found[0].shape} and {frame.shape}")
+            found.append(piece if piece.ndim == 3 else piece[None])
+            if found[-1].shape[1:] != found[0].shape[1:]:
+                sizes = " and ".join(str(each.shape[1:]) for each in (found[0], found[-1]))
+                raise DataError(f"{path}: frames differ in size: {sizes}")
         if not found:
             raise DataError(f"{path}: a recording without frames")
-        return np.ma.stack(found) if any(map(np.ma.isMaskedArray, found)) else np.stack(found)
+        return np.ma.concatenate(found) if any(map(np.ma.isMaskedArray, found)) else np.concatenate(found)
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """The stored array frame by frame, or in larger pieces."""
         yield self.read(path, key)
 
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
-        """Conversion of counts to kelvin, of the first frame."""
-        return None
-
     def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Conversion of counts to kelvin, of each frame where they may differ."""
-        return [self.radiometry(path, key)]
+        return [None]
 
     def samples_file(self, path: Path) -> Path:
         """The file of the samples, where a header may be named instead."""
@@ -146,11 +143,6 @@ class Recording:
             if piece is None:
                 return
             yield piece
-
-    def radiometry(self) -> Radiometry | None:
-        """Conversion of counts to kelvin, of the first frame; None if the file does not say."""
-        with decoding(self.path):
-            return self.reader.radiometry(self.path, self.key)
 
     def radiometries(self) -> list[Radiometry | None]:
         """Radiometry of each frame; a single entry if it is that of all frames."""

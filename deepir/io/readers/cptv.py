@@ -5,6 +5,7 @@ Source: the public specification, https://github.com/TheCacophonyProject/go-cptv
 
 from __future__ import annotations
 
+import functools
 import gzip
 import struct
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ CPTV_MAGIC = b"CPTV"  # first bytes of the unpacked stream
 MAX_DIFFERENCE_BITS = 24  # bits of a difference
 
 Fields = dict[bytes, bytes]
+_number = functools.partial(int.from_bytes, byteorder="little")
 
 
 class Cptv(Reader):
@@ -53,7 +55,9 @@ class Cptv(Reader):
                 packed = _exactly(file, _number(about[b"f"]), path)
                 last += np.cumsum(_differences(packed, _number(about[b"w"]), last.size, path))
                 if not _number(about.get(b"g", b"\0")):
-                    yield _unfolded(last.reshape(height, width)).astype(np.uint16)
+                    frame = last.reshape(height, width).astype(np.uint16)
+                    frame[1::2] = frame[1::2, ::-1]  # rows are stored in alternating directions
+                    yield frame
 
 
 def _fields(file: gzip.GzipFile, kind: bytes, path: Path) -> Fields:
@@ -75,10 +79,6 @@ def _exactly(file: gzip.GzipFile, count: int, path: Path) -> bytes:
     return data
 
 
-def _number(value: bytes) -> int:
-    return int.from_bytes(value, "little")
-
-
 def _differences(packed: bytes, bits: int, count: int, path: Path) -> Array:
     """The first value and `count` - 1 signed differences of `bits` bits, most significant bit first."""
     if not 0 < bits <= MAX_DIFFERENCE_BITS or len(packed) < 4 + ((count - 1) * bits + 7) // 8:
@@ -87,10 +87,3 @@ def _differences(packed: bytes, bits: int, count: int, path: Path) -> Array:
     weights = 1 << np.arange(bits - 1, -1, -1, dtype=np.int64)
     weights[0] *= -1  # two's complement
     return np.concatenate([struct.unpack_from("<i", packed), digits.reshape(-1, bits) @ weights])
-
-
-def _unfolded(frame: Array) -> Array:
-    """Rows are stored in alternating directions: every second one is reversed."""
-    frame = frame.copy()
-    frame[1::2] = frame[1::2, ::-1]
-    return frame

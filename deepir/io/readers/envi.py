@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from deepir.errors import DataError
-from deepir.io.guards import masked, read_samples, stream_planes
+from deepir.io.guards import check_size, masked, stream_planes
 from deepir.io.readers import Array, Reader
 
 HEADER_MARK = b"ENVI"  # first bytes of a header
@@ -36,22 +36,13 @@ class Envi(Reader):
         """A header, or samples with one beside them."""
         return _header_of(path) is not None
 
-    def read(self, path: Path, key: str | None) -> Array:
-        """The frames (N, h, w); masked where the header names the value of lost samples.
-
-        Raises:
-            DataError: The header is not whole, or does not go with the samples.
-        """
-        samples, dtype, offset, shape, fields = _layout(path)
-        stored = read_samples(samples, dtype, offset, shape)
-        axes = INTERLEAVES[fields["interleave"]]
-        return _known(stored.transpose([axes.index(each) for each in "nhw"]), fields)
-
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Frame after frame (h, w) where they follow each other, else all at once."""
         samples, dtype, offset, shape, fields = _layout(path)
-        if fields["interleave"] != "bsq":
-            yield self.read(path, key)
+        if (axes := INTERLEAVES[fields["interleave"]]) != "nhw":
+            check_size(path, size := math.prod(shape) * dtype.itemsize, size)
+            stored = np.fromfile(samples, dtype, math.prod(shape), offset=offset).reshape(shape)
+            yield _known(stored.transpose([axes.index(each) for each in "nhw"]), fields)
             return
         for frame in stream_planes(samples, dtype, offset, shape):
             yield _known(frame, fields)

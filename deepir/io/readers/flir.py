@@ -60,9 +60,9 @@ class FlirJpeg(Reader):
         """The raw plane (h, w), uint16 counts."""
         return read_raw_plane(_joined_records(path), path)
 
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Planck's law with the camera's constants and the user's settings: emissivity, distance ..."""
-        return read_radiometry(_joined_records(path))
+        return [read_radiometry(_joined_records(path))]
 
 
 class FlirSequence(Reader):
@@ -94,11 +94,6 @@ class FlirSequence(Reader):
                 yield plane
                 count += 1
                 start = data.find(FFF_MAGIC, end)
-
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
-        """Radiometry of the first frame."""
-        with FileBytes(path) as data:
-            return read_radiometry(read_records(data, path)[0])
 
     def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Radiometry of each frame: emissivity, distance or the camera's range may change while it records."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 
 from deepir.errors import DataError
 from deepir.io import readers
-from deepir.io.guards import GIB, MAX_ARRAY_BYTES, ColourError, warn_once
+from deepir.io.guards import GIB, MAX_ARRAY_BYTES, warn_once
 from deepir.io.radiometry import Radiometry
 from deepir.io.readers import Array, Reader
 
@@ -38,10 +37,15 @@ class Folder(Reader):
         stacks: list[Array] = []
         files, total = burst_files(path), 0
         for file in files:
-            with _of(path):
-                frames = readers.opened(file, key).read()
+            frames = readers.opened(file, key).read()
             stacks.append(frames if frames.ndim == 3 else frames[None])
-            _check_alike(files[0], stacks[0], file, stacks[-1])
+            alike = [(" x ".join(map(str, each.shape[1:])), each.dtype) for each in (stacks[0], stacks[-1])]
+            for what, one, other in zip(("size", "type"), *alike, strict=True):
+                if one != other:
+                    raise DataError(
+                        f"{files[0].parent}: pictures differ in {what}: {files[0].name} is {one}, {file.name} is "
+                        f"{other}; name one kind with a glob"
+                    )
             total += frames.nbytes
             if total > MAX_ARRAY_BYTES:
                 raise DataError(f"{path}: more than {MAX_ARRAY_BYTES // GIB} GiB of pictures; name fewer with a glob")
@@ -50,12 +54,7 @@ class Folder(Reader):
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Frame after frame, file after file."""
         for file in burst_files(path):
-            with _of(path):
-                yield from readers.opened(file, key).stream()
-
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
-        """Radiometry of the first picture."""
-        return readers.opened(burst_files(path)[0], key).radiometry()
+            yield from readers.opened(file, key).stream()
 
     def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Radiometry of each frame of each picture."""
@@ -123,25 +122,3 @@ def _pictures(path: Path) -> list[Path]:
             f"such as '{path}/*{kinds[-1]}'"
         )
     return files
-
-
-@contextmanager
-def _of(folder: Path) -> Iterator[None]:
-    """A context in which a colour picture is one of a folder's."""
-    try:
-        yield
-    except ColourError as error:
-        raise DataError(
-            f"{error}. If it is the visible picture beside a thermal one, name the thermal ones with a glob, such as "
-            f"'{folder if folder.is_dir() else folder.parent}/*_T.jpg'"
-        ) from error
-
-
-def _check_alike(first: Path, a: Array, other: Path, b: Array) -> None:
-    sizes = [" x ".join(map(str, each.shape[1:])) for each in (a, b)]
-    for what, one, two in (("size", *sizes), ("type", a.dtype, b.dtype)):
-        if one != two:
-            raise DataError(
-                f"{first.parent}: pictures differ in {what}: {first.name} is {one}, {other.name} is {two}; "
-                "name one kind with a glob"
-            )

@@ -22,8 +22,6 @@ UNITS = dict.fromkeys(("k", "kelvin", "kelvins", "degk", "degkelvin"), 0.0) | di
     ("c", "celsius", "degc", "degcelsius"), ZERO_CELSIUS
 )
 DEGREES = re.compile("degrees?|°|[ _]")  # in the name of a unit
-MAX_GROUP_DEPTH = 8  # levels of groups that are searched
-MAX_ARRAYS = 10_000  # arrays and groups that are listed
 
 
 class Hdf5(Reader):
@@ -43,18 +41,18 @@ class Hdf5(Reader):
         with _dataset(path, key, at_once=True) as (data, turned):
             return _turned(_known(data[()], data.attrs), turned)
 
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Kelvin by the scale and offset of the conventions for climate and forecast (CF)."""
         try:
             with _dataset(path, key) as (data, _):
                 unit = _text(data.attrs, "units")
                 scale, zero = (_number(data.attrs, *each) for each in (("scale_factor", 1.0), ("add_offset", 0.0)))
         except DataError:  # several arrays, or none
-            return None
+            return [None]
         known = DEGREES.sub(lambda found: "" if found[0] in " _" else "deg", unit.lower())
         if known not in UNITS or not scale > 0:
-            return None
-        return Linear(scale, zero + UNITS[known])
+            return [None]
+        return [Linear(scale, zero + UNITS[known])]
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Frame after frame (h, w) of the same array."""
@@ -78,7 +76,12 @@ def _dataset(path: Path, key: str | None, *, at_once: bool = False) -> Iterator[
         matlab = stream.read(len(MATLAB_SIGNATURE)) == MATLAB_SIGNATURE
         with library.File(stream, "r") as file:
             found: dict[str, Any] = {}
-            _collect(library, file, "", found)
+
+            def collect(name: str, each: Any) -> None:
+                if isinstance(each, library.Dataset) and each.shape is not None and each.dtype.kind in "uif":
+                    found[name] = each
+
+            file.visititems(collect)  # which follows no links, and comes to each object once
             name = choose_array({each: data.shape for each, data in found.items()}, path, key)
             data = found[name]
             if data.is_virtual or data.external:
@@ -112,17 +115,3 @@ def _number(attributes: Any, name: str, default: float) -> float:
 
 def _turned(array: Array, matlab: bool) -> Array:
     return np.swapaxes(array, -1, -2) if matlab else array
-
-
-def _collect(library: Any, group: Any, prefix: str, found: dict[str, Any]) -> None:
-    """Collect the arrays of numbers below `group` by path; only hard links are followed, to a limited depth."""
-    for name in group:
-        if len(found) > MAX_ARRAYS or prefix.count("/") > MAX_GROUP_DEPTH:
-            raise DataError(f"{group.file.filename}: more arrays or folders than a recording has")
-        if not isinstance(group.get(name, getlink=True), library.HardLink):
-            continue
-        each = group[name]
-        if isinstance(each, library.Group):
-            _collect(library, each, f"{prefix}{name}/", found)
-        elif isinstance(each, library.Dataset) and each.shape is not None and each.dtype.kind in "uif":
-            found[prefix + name] = each

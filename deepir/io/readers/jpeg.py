@@ -137,9 +137,9 @@ class InfirayJpeg(Reader):
             )
         return np.frombuffer(planes, "<u2", samples, 2 * samples).reshape(height, -1)
 
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Kelvin x 64."""
-        return Linear(1 / 64)
+        return [Linear(1 / 64)]
 
 
 def _planes(path: Path) -> bytes:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import tifffile
 
 from deepir.config import schema
@@ -20,8 +19,6 @@ from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array, Reader
 
 GDAL_NODATA = 42113  # the tag of the value of lost samples, a text
-SUBDIRECTORIES = 330  # the tag SubIFDs
-OFFSET_FORMATS = {4: "I", 13: "I", 16: "Q", 17: "Q", 18: "Q"}  # of the types LONG, IFD, LONG8, SLONG8, IFD8
 PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
 
 # Python prints messages of a library's logger that nobody handles; ours become errors instead.
@@ -35,21 +32,6 @@ class Tiff(Reader):
     suffixes = (".tif", ".tiff")
     signatures = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
     any_axes = True
-
-    def read(self, path: Path, key: str | None) -> Array:
-        """All pages of full size, (N, h, w).
-
-        Raises:
-            DataError: Pages differ in size, lie outside the file, or are in colour.
-        """
-        with _open(path) as tiff:
-            series = _series(tiff, path)
-            check_size(path, sum(p.nbytes for p in series), path.stat().st_size, compressed=True)
-            stacks = [_stack(part.asarray(), part.axes, path, nodata=_nodata(part)) for part in series]
-        sizes = {stack.shape[1:] for stack in stacks}
-        if len(sizes) > 1:
-            raise DataError(f"{path}: its pages differ in size: {' and '.join(map(str, sorted(sizes)))}")
-        return np.ma.concatenate(stacks) if len(stacks) > 1 else stacks[0]
 
     def stream(self, path: Path, key: str | None) -> Iterator[Array]:
         """Page after page (h, w)."""
@@ -65,16 +47,16 @@ class Tiff(Reader):
                     for page in part.pages:
                         yield _stack(page.asarray(), part.axes, path, nodata=_nodata(part))
 
-    def radiometry(self, path: Path, key: str | None) -> Radiometry | None:
+    def radiometries(self, path: Path, key: str | None) -> list[Radiometry | None]:
         """Radiometry that deepir wrote into the description, see `deepir.io.radiometry.unit_metadata`."""
         with _open(path) as tiff:
             try:
                 description = json.loads(tiff.pages.first.description)
                 if description.get("unit") == "K":
-                    return KELVIN
-                return resolve_radiometry(None, schema.Radiometry(**description["radiometry"]))
+                    return [KELVIN]
+                return [resolve_radiometry(None, schema.Radiometry(**description["radiometry"]))]
             except (ValueError, TypeError, KeyError, AttributeError, ConfigError):  # anybody else's description
-                return None
+                return [None]
 
 
 def _open(path: Path) -> tifffile.TiffFile:
@@ -89,7 +71,7 @@ def _open(path: Path) -> tifffile.TiffFile:
 
 
 def _count_directories(path: Path) -> int:
-    """Number of the directories of a TIFF or BigTIFF, without sub-directories.
+    """Number of the directories of a TIFF or BigTIFF, without sub-directories, of which tifffile follows one level.
 
     Raises:
         DataError: One is reached twice, or lies outside the file. What else is wrong is left to the library that reads.
@@ -97,36 +79,19 @@ def _count_directories(path: Path) -> int:
     with FileBytes(path) as data:
         order = "<" if data[:2] == b"II" else ">"
         large = struct.unpack(f"{order}H", data[2:4])[0] == 43
-        offset, count, entry, width = ("Q", "Q", "HHQ8s", 8) if large else ("I", "H", "HHI4s", 4)
-        first = data[width : 2 * width]
-        waiting, seen, found = [(*struct.unpack(order + offset, first), True)], set[int](), 0
-        while waiting:
-            at, is_main = waiting.pop()
-            if not at:  # the end of a chain
-                continue
+        offset, count, entry, width = ("Q", "Q", 20, 8) if large else ("I", "H", 12, 4)
+        (at,) = struct.unpack(order + offset, data[width : 2 * width])
+        seen = set[int]()
+        while at:
             if at in seen:
                 raise DataError(f"{path}: damaged: its directory at byte {at} is reached twice")
             seen.add(at)
-            found += is_main
             start = at + struct.calcsize(order + count)
-            (entries,) = struct.unpack(order + count, data[at:start])
-            size = entries * struct.calcsize(order + entry)
-            if start + size + width > len(data):
+            end = start + entry * struct.unpack(order + count, data[at:start])[0]
+            if end + width > len(data):
                 raise DataError(f"{path}: truncated: its directory at byte {at} lies outside the file")
-            for tag, kind, length, value in struct.iter_unpack(order + entry, data[start : start + size]):
-                if tag == SUBDIRECTORIES and kind in OFFSET_FORMATS:
-                    below = f"{order}{length}{OFFSET_FORMATS[kind]}"
-                    stored = struct.calcsize(below)
-                    offsets = value[:stored]
-                    if stored > width:  # in their place is that of their list
-                        (place,) = struct.unpack(order + offset, value)
-                        if place + stored > len(data):
-                            raise DataError(f"{path}: truncated: its list of directories lies outside the file")
-                        offsets = data[place : place + stored]
-                    waiting += [(sub, False) for sub in struct.unpack(below, offsets)]
-            following = data[start + size : start + size + width]
-            waiting.append((*struct.unpack(order + offset, following), is_main))
-        return found
+            (at,) = struct.unpack(order + offset, data[end : end + width])
+        return len(seen)
 
 
 def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:

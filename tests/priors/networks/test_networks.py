@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from deepir.assembly.problem import build_scene
+from deepir.assembly import build_scene
 from deepir.config import load
 from deepir.priors.networks.base import Network
 from deepir.priors.networks.coordinates import Gabor, Sine, Siren
