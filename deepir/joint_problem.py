@@ -180,7 +180,4 @@ AnyProblem = Problem | JointProblem
 
 def _sensor_fields(problem: Problem) -> tuple[Field, ...]:
     """Gain and offset of a sensor that ends the operator; () without one."""
-    if problem.sensor is None:
-        return ()
-    unknowns = problem.sensor_unknowns()
-    return problem.fields[unknowns["gain"]], problem.fields[unknowns["offset"]]
+    return () if problem.sensor is None else tuple(problem.fields[name] for name in problem.gain_and_offset())

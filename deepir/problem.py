@@ -170,6 +170,10 @@ class Problem(nn.Module):
         kinds = ("gain", "offset", "level")
         return {kind: self.slots[f"{name}.{kind}"] for name in stages[:1] for kind in kinds}
 
+    def gain_and_offset(self) -> list[str]:
+        """The unknowns of gain and offset of the sensor; [] without one."""
+        return list(self.sensor_unknowns().values())[:2]
+
     def motion_unknown(self) -> str:
         """The unknown of the motion of the stage that moves with the camera; "" without one."""
         name = next((name for name, stage in self.operator.named() if stage.moves), None)
@@ -302,8 +306,8 @@ class Problem(nn.Module):
         """
         if self.sensor is None or not self.fidelity.quadratic or self.data.shape[1] > 1:
             return []
-        gain_and_offset, free = list(self.sensor_unknowns().values())[:2], self.free()
-        mine = [each for each in gain_and_offset if each in free and each not in self.penalties]
+        free = self.free()
+        mine = [each for each in self.gain_and_offset() if each in free and each not in self.penalties]
         return [each for each in mine if self.fields[each].parts()]
 
     def valid(self, values: Values) -> Tensor:
@@ -333,21 +337,12 @@ class Problem(nn.Module):
         return self.data - self.predict(values | {"scene": values["scene"] + step})
 
     @torch.no_grad()
-    def eliminate(
-        self,
-        values: Values,
-        group: Collection[str],
-        *,
-        flux: Tensor | None = None,
-        precision: Tensor | None = None,
-    ) -> dict[str, list[Tensor]]:
-        """Set the unknowns of `group` to their optimum given the others; `values` is updated.
-
-        Returns the posterior variance of each part, by unknown, see `deepir.closed_form.variable_projection`. `flux`
-        and `precision` spare their computation where they are known.
-        """
-        found = self.solved(values, group, flux=flux, precision=precision)
-        return dict(zip(list(self.sensor_unknowns().values())[:2], found.posterior_variances(), strict=True))
+    def optimum(self) -> tuple[Values, Tensor]:
+        """The values of the unknowns, gain and offset at their optimum given the others; and the flux (N, C, h, w)."""
+        values = dict(self.values())
+        flux = self.flux(values)
+        self.solved(values, self.closed_form(), flux=flux)
+        return values, flux
 
     @torch.no_grad()
     def solved(
@@ -358,9 +353,10 @@ class Problem(nn.Module):
         flux: Tensor | None = None,
         precision: Tensor | None = None,
     ) -> Elimination:
-        """Posterior of gain and offset given the others, from the samples that are fitted.
+        """Posterior of gain and offset given the others; `values` is updated to the optimum of those in `group`.
 
-        Also from those of all data sets that show the same sensor. For `flux` and `precision` see `eliminate`.
+        From the samples that are fitted, and those of all data sets that show the same sensor. `flux` and `precision`
+        spare their computation where they are known.
         """
         flux = self.flux(values) if flux is None else flux
         samples = [self.samples(values, group, flux, self.fitted() if precision is None else precision)]
@@ -384,7 +380,7 @@ class Problem(nn.Module):
     @torch.no_grad()
     def eliminate_from(self, samples: Sequence[Samples], values: Values, group: Collection[str]) -> Elimination:
         """Set the unknowns of `group` to their optimum given the `samples` of one or several data sets."""
-        gain, offset = list(self.sensor_unknowns().values())[:2]
+        gain, offset = self.gain_and_offset()
         flux, data, precision, level = (
             each[0] if len(each) == 1 else torch.cat(each) for each in zip(*samples, strict=True)
         )

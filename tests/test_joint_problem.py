@@ -70,7 +70,7 @@ def test_elimination_is_the_dense_solution_of_the_stacked_problem(joint):
     found = [values]
     for each in joint.data_sets:  # which know their sensor from all samples
         found.append(each.values())
-        each.eliminate(found[-1], SENSOR)
+        each.solved(found[-1], SENSOR)
     for values in found:
         sensor = torch.stack([values[name].flatten() for name in SENSOR]).detach().numpy()
         assert sensor - [[1], [0]] == pytest.approx(dense(joint), abs=1e-9)

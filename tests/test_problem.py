@@ -76,7 +76,7 @@ def test_elimination_finds_where_the_gradient_is_zero(small_nuc, group):
         problem.fields[name].init_from(problem.truth[name])
     problem.fields["level"].values.copy_(torch.tensor([0.1, -0.2, 0.1]).reshape(3, 1, 1, 1))
     values = problem.values()
-    problem.eliminate(values, group)
+    problem.solved(values, group)
     for name in group:
         assert torch.allclose(values[name], problem.fields[name](), rtol=1e-12)
     total = torch.stack(list(problem.losses(problem.values()).values())).sum()

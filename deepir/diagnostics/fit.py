@@ -113,8 +113,7 @@ def doubtful_motion(problem: Problem, frames: Array, usable: Array, used: Array)
             ]
     values = problem.values()
     left = problem.data - problem.predict(values)
-    name = problem.operator.named()[-1][0]
-    gain, offset = (values[problem.slots[f"{name}.{slot}"]] for slot in ("gain", "offset"))
+    gain, offset = (values[name] for name in problem.gain_and_offset())
     pattern = gain * problem.flux(values).median() + offset
     counts = problem.precision > 0
     shown = pattern.expand_as(left[:1])[counts.any(0, keepdim=True)]
@@ -168,13 +167,10 @@ def scene_in_pattern_message(problem: Problem) -> list[str]:
     negative. Dust on a window, a bonnet, the corners that a lens leaves dark look like pictures, too, but there the
     motion explains the frames far better than rest does.
     """
-    stage, last = problem.operator.named()[-1]
-    if not isinstance(last, Sensor) or not problem.closed_form() or not problem.slot(Warp, "motion"):
+    if not problem.closed_form() or not problem.slot(Warp, "motion"):
         return []
-    values = problem.values()
-    flux = problem.flux(values)
-    problem.eliminate(values, problem.closed_form(), flux=flux)
-    gain, offset = (values[problem.slots[f"{stage}.{slot}"]] for slot in ("gain", "offset"))
+    values, flux = problem.optimum()
+    gain, offset = (values[name] for name in problem.gain_and_offset())
     shown = (gain * flux.median() + offset).expand_as(flux[:1])
     pattern, scene = (_rough(each[0, 0], problem.alive()) for each in (shown, flux))
     if (

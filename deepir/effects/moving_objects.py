@@ -16,7 +16,6 @@ from deepir.arrays.statistics import masked_values, median, median_sigma
 from deepir.arrays.windows import box_sum
 from deepir.effects.effect import Effect
 from deepir.messages import Message
-from deepir.operators.base import slots_of
 from deepir.problem import Problem, Values
 from deepir.registry import register
 
@@ -47,19 +46,6 @@ MAX_TURNS = 30
 Region = tuple[tuple[slice, ...], Tensor]
 
 
-@dataclass(frozen=True)
-class MovingObjects:
-    """Moving objects of a burst.
-
-    samples: That show an object, (N, 1, h, w), bool. alone: Samples that are the only ones to see the scene behind an
-    object, same shape. contrast: Median difference between object and scene, robust standard deviations.
-    """
-
-    samples: Tensor
-    alone: Tensor
-    contrast: float
-
-
 @torch.no_grad()
 def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
     """Give samples of moving objects next to no weight; their contrast, 0 without an object.
@@ -71,15 +57,19 @@ def down_weight_moving(problem: Problem, *, settled: bool = True) -> float:
     found = detect_moving_objects(problem, settled=settled)
     if found is None:
         return 0.0
-    problem.moving.copy_(found.samples)
-    _restore_weight(problem, found.alone)
+    samples, alone, contrast = found
+    problem.moving.copy_(samples)
+    _restore_weight(problem, alone)
     problem.precision.mul_(torch.where(problem.moving, OBJECT_WEIGHT, 1.0))
-    return found.contrast
+    return contrast
 
 
 @torch.no_grad()
-def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingObjects | None:
+def detect_moving_objects(problem: Problem, *, settled: bool = True) -> tuple[Tensor, Tensor, float] | None:
     """Detect moving objects by the residuals, carried to the scene's grid; None where nothing moves.
+
+    Returns the samples that show an object, (N, 1, h, w), bool; those that alone see the scene behind one, same shape;
+    and the median difference between object and scene, robust standard deviations.
 
     Where the frames fall into two groups at a place, an object is in front of the scene in one of them; `foreground`
     decides in which. Scene and pattern explain most of the frames. Once they have `settled`, places where the other
@@ -112,8 +102,8 @@ def detect_moving_objects(problem: Problem, *, settled: bool = True) -> MovingOb
     if not contrasts:
         return None
     whole = _dilated(passes[:, None], 3)  # with its blurred edge
-    samples, only = (_in_frames(problem, each, values) > 0.5 for each in (whole, alone[:, None]))
-    return MovingObjects(samples, only, float(torch.cat(contrasts).median()) / usual)
+    samples, only = (problem.flux(values | {"scene": each}) > 0.5 for each in (whole, alone[:, None]))
+    return samples, only, float(torch.cat(contrasts).median()) / usual
 
 
 def _restore_weight(problem: Problem, samples: Tensor) -> None:
@@ -243,14 +233,6 @@ def _box_sum(images: Tensor, side: int) -> Tensor:
     return images.float()
 
 
-def _in_frames(problem: Problem, masks: Tensor, values: Values) -> Tensor:
-    """Images (N, 1, H, W) on the scene's grid as each frame sees its own."""
-    slots = {slot: values[name] for slot, name in problem.slots.items()}
-    for name, stage in problem.operator.named()[:-1]:
-        masks = stage(masks, **slots_of(slots, name))
-    return masks
-
-
 def _dilated(image: Tensor, side: int) -> Tensor:
     return F.max_pool2d(image, side, stride=1, padding=side // 2)
 
@@ -279,9 +261,9 @@ class MovingObjectsMask(Effect):
 
     def detect(self, problem: Problem) -> bool:
         found = detect_moving_objects(problem, settled=False)
-        if found is None or found.contrast <= self.min_contrast:
+        if found is None or found[-1] <= self.min_contrast:
             return False
-        problem.moving.copy_(found.samples)
+        problem.moving.copy_(found[0])
         return True
 
     def update(self, problem: Problem, *, settled: bool) -> bool:

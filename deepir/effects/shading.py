@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from deepir.effects.effect import Effect, Rounds
-from deepir.estimation.low_order_evidence import GainOffsetEvidence, LowOrderEvidence, contrast, gain_and_offset
+from deepir.estimation.low_order_evidence import GainOffsetEvidence, LowOrderEvidence, contrast
 from deepir.estimation.residuals import has_line_noise
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
@@ -180,7 +180,7 @@ class Vignetting(Effect):
             return []
         if cut is not None and float((cut != 0).all(0).float().mean()) > self.max_truncated:
             return []  # the offsets that are seen are a selection
-        parts = gain_and_offset(problem)[0].parts()
+        parts = problem.fields[problem.gain_and_offset()[0]].parts()
         return [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed]
 
     def is_present(self, problem: Problem) -> bool:

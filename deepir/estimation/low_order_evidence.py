@@ -288,9 +288,7 @@ class GainOffsetEvidence(_StrengthEvidence):
     """
 
     def __init__(self, problem: Problem, *, frame_gains: bool = False, doubt: Tensor | None = None) -> None:
-        values = dict(problem.values())
-        flux = problem.flux(values)
-        problem.eliminate(values, problem.closed_form(), flux=flux)
+        values, flux = problem.optimum()
         self.low_order = LowOrderModel(problem, tuple(values["scene"].shape))
         frame = self.low_order.frame
         self.low = (frame.order_y + frame.order_x <= MAX_ERROR_DEGREE) & (doubt is not None)
@@ -302,8 +300,9 @@ class GainOffsetEvidence(_StrengthEvidence):
         z, data, precision = (each[:, 0, *some].flatten(1) for each in seen)
         self.level = float(z.double().square().mean().sqrt())
         self.spread = float(masked_values(data, precision > 0).std())
-        of_gain, of_offset = (_variances(field) for field in gain_and_offset(problem))
-        gain, offset = (_high_order_lines(field, frame)[some].to(flux).flatten() for field in gain_and_offset(problem))
+        fields = [problem.fields[name] for name in problem.gain_and_offset()]
+        of_gain, of_offset = map(_variances, fields)
+        gain, offset = (_high_order_lines(field, frame)[some].to(flux).flatten() for field in fields)
         residual = data - (1 + gain) * z - offset
         pixels = self.level**2 * of_gain.pop(PIXEL), of_offset.pop(PIXEL)
         self.expected = [
@@ -392,9 +391,7 @@ class GainOffsetEvidence(_StrengthEvidence):
 def _low_order_residual(problem: Problem, frame: Shading) -> Tensor:
     """Frames less the scene and the high-order pattern, (N, h, w)."""
     closed = problem.closed_form()
-    values = dict(problem.values())
-    flux = problem.flux(values)
-    problem.eliminate(values, closed, flux=flux)
+    values, flux = problem.optimum()
     high_order = []
     for name, neutral in zip(problem.sensor_unknowns().values(), (1.0, 0.0), strict=False):
         value = values[name]
@@ -410,12 +407,6 @@ def _clipped(residual: Tensor, some: Tensor) -> tuple[Tensor, float]:
     middle = median(some)
     limit = CLIP_MADS * median((some - middle).abs())
     return (residual - middle).clamp(-limit, limit), middle
-
-
-def gain_and_offset(problem: Problem) -> list[Field]:
-    """The fields of the sensor's gain and offset."""
-    last = problem.operator.named()[-1][0]
-    return [problem.field_of(f"{last}.{slot}") for slot in ("gain", "offset")]
 
 
 def _variances(field: Field) -> Variances:

@@ -262,7 +262,8 @@ def uncertainty(problem: Problem, cost: float) -> Maps:
     found = {"scene": (seen.clamp(min=float(seen.max()) * 1e-6).rsqrt() * 10 ** (cost / 20))}
     closed = problem.closed_form()
     if closed and len(seen) == 1:
-        for name, variances in problem.eliminate(values, closed, precision=problem.precision).items():
+        solved = problem.solved(values, closed, precision=problem.precision)
+        for name, variances in zip(problem.gain_and_offset(), solved.posterior_variances(), strict=True):
             parts = problem.fields[name].parts()
             total = sum(part.map_variance(each) for part, each in zip(parts, variances, strict=True))
             if isinstance(total, Tensor):

@@ -119,6 +119,7 @@ class GaussianField(Field):
 
     sigma: Tensor
     preconditioning_scale: Tensor
+    values: Tensor  # the parameters
 
     def __init__(self, shape: Shape, neutral: float = 0.0, *, sigma: float | None = None) -> None:
         super().__init__(shape, neutral)
@@ -127,6 +128,10 @@ class GaussianField(Field):
         self.register_buffer("sigma", torch.tensor(sigma or 0.0))
         #: Change of the value per unit of a parameter, see `Field`.
         self.register_buffer("preconditioning_scale", torch.tensor(1.0))
+
+    def penalty(self) -> Tensor | None:
+        """`½ Σ value² / sigma²` of the values in data units, which are those of the parameters times their scale."""
+        return (self.preconditioning_scale * self.values / self.sigma).square().sum() / 2 if self.sigma > 0 else None
 
 
 class StandardisedField(Field):

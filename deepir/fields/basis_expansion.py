@@ -56,10 +56,6 @@ class BasisExpansion(GaussianField):
         one = torch.eye(len(self.values), dtype=self.values.dtype, device=self.values.device)
         return torch.stack([self.synthesise(each)[::step_y, ::step_x] for each in one])
 
-    def penalty(self) -> Tensor | None:
-        """`½ Σ a² / sigma²`."""
-        return (self.coefficients / self.sigma).square().sum() / 2 if self.sigma > 0 else None
-
 
 @register("field", "dct")
 class DCT(BasisExpansion):

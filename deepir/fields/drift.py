@@ -79,7 +79,3 @@ class Drift(GaussianField):
         value = value.to(self.values).expand(self.shape) - self.neutral - self.level_offsets
         back = torch.linalg.pinv(level_basis(len(value), value.device)).to(value)
         self.values.copy_(torch.tensordot(back, value - value.mean(), 1) / self.preconditioning_scale)
-
-    def penalty(self) -> Tensor | None:
-        """`½ Σ step² / sigma²`."""
-        return (self.preconditioning_scale * self.values / self.sigma).square().sum() / 2 if self.sigma > 0 else None

@@ -64,12 +64,6 @@ class LineNoise(GaussianField):
         value = (value.to(self.values) - self.neutral).mean(-3 - self.line_axis, keepdim=True)
         self.values.copy_(value / self.preconditioning_scale)
 
-    def penalty(self) -> Tensor | None:
-        """`½ Σ value² / sigma²`."""
-        if not self.sigma > 0:
-            return None
-        return (self.preconditioning_scale / self.sigma * self.values).square().sum() / 2
-
     def curvature(self, precision: float) -> float:
         """Curvature of the objective in each parameter, for frames of this total precision."""
         return float(self.preconditioning_scale) ** 2 * (

@@ -135,12 +135,14 @@ def make_block_preconditioner(
         mine = [p for p in each.parameters() if id(p) in numbers]
         mine.sort(key=lambda p: numbers[id(p)])
         own = [name for name, whole in problem.names_in(each).items() if whole in eliminated]
-        free = make_preconditioner(each, mine, own, high_frequencies_only=high_frequencies_only)
-        if free is None:
-            return None
+        of_fields = {id(p) for field in each.fields.values() for p in field.parameters()}
+        of_scene = {id(p) for p in each.fields["scene"].parameters()}
+        if not (has_fourier_model(each) and of_scene & numbers.keys() and {id(p) for p in mine} <= of_fields):
+            return None  # a penalty may have unknowns of its own
+        free = Preconditioner(each, mine, own, high_frequencies_only=high_frequencies_only)
         known = None
         if own and each.same_sensor:
-            known = make_preconditioner(each, mine, (), high_frequencies_only=high_frequencies_only)
+            known = Preconditioner(each, mine, (), high_frequencies_only=high_frequencies_only)
         blocks.append(_Block([numbers[id(p)] for p in mine], free, known))
     if len(blocks) == 1:
         return blocks[0].free
@@ -222,32 +224,6 @@ class Preconditioner:
         for i, each in zip(self.others, others, strict=True):
             into[i].copy_(each)
         return found
-
-
-def make_preconditioner(
-    problem: Problem,
-    parameters: Sequence[nn.Parameter],
-    eliminated: Collection[str] = (),
-    *,
-    high_frequencies_only: bool = False,
-) -> Preconditioner | None:
-    """Preconditioner of an optimiser, or None without a Fourier model of the problem.
-
-    Args:
-        problem: Its current values are the point of expansion.
-        parameters: Those that the optimiser moves; the scene's must be among them.
-        eliminated: Unknowns in closed form.
-        high_frequencies_only: Leave low frequencies of the scene unchanged.
-    """
-    of_fields = {id(p) for field in problem.fields.values() for p in field.parameters()}
-    of_scene = {id(p) for p in problem.fields["scene"].parameters()}
-    mine = {id(p) for p in parameters}
-    known = mine <= of_fields and bool(mine & of_scene)  # a penalty may have unknowns of its own
-    return (
-        Preconditioner(problem, parameters, eliminated, high_frequencies_only=high_frequencies_only)
-        if known and has_fourier_model(problem)
-        else None
-    )
 
 
 def low_frequencies(shape: Sequence[int], device: torch.device) -> Tensor:

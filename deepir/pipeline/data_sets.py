@@ -122,9 +122,7 @@ def start_radiometry(data_set: Problem) -> None:
 
     Those that have parts about one and zero stay there: they are in the units of the scene.
     """
-    if not data_set.sensor_unknowns():
-        return
-    fields = [data_set.fields[data_set.sensor_unknowns()[slot]] for slot in ("gain", "offset")]
+    fields = [data_set.fields[name] for name in data_set.gain_and_offset()]
     free = [field for field in fields if not field.parts() and any(p.requires_grad for p in field.parameters())]
     if len(free) < 2:
         return

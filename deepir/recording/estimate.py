@@ -41,6 +41,7 @@ SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 #: px, error of the motion from which frames do not register as a whole, if their residuals have a cause too: 0.05 to
 #: 0.25 hand-held, 0.3 to 2.5 where the camera moves among near things; sharp edges alone make up to 0.45.
 MAX_MOTION_ERROR = 0.3
+MAX_ERROR_OF_WHOLE_FRAMES = 1.0  # px, the same where those frames were averages: 0.9 at most where they do register
 #: Nats a sample for another cause from which they do not either: 0.15 at most where they do (hand-held, hot spots, and
 #: simulated pans of seeds 0 to 10), 0.22 and more in two pieces of a drive whose solution was worse than raw.
 MAX_MISFIT = 0.18
@@ -211,6 +212,8 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
         shared = gradient_consensus(frames[numbers], usable[numbers])
         solution = solve_sensor(burst, shared, (mean, variance))
+        if solution.motion_error > MAX_ERROR_OF_WHOLE_FRAMES:
+            return None
     _, expected = burst.compared(solution.offset, solution.gain)
     burst.frames = recorded[numbers]  # with what bad pixels show
     shown = burst.corrected(solution.offset, solution.gain)

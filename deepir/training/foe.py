@@ -61,6 +61,7 @@ class FieldsOfExperts(Training):
 
     iterations = 1000
     rate = 3e-2
+    network = Experts
 
     def __init__(self, rng: np.random.Generator) -> None:
         super().__init__(rng)
@@ -68,10 +69,6 @@ class FieldsOfExperts(Training):
         photographs = [load_picture(name) for name in FOE_PHOTOGRAPHS]
         drawn = [draw(FIRST_SCENE_SEED + i, SCENE_SHAPE) for draw, count in DRAWN_COUNTS.items() for i in range(count)]
         self.scenes = [torch.from_numpy(each).float() for each in 4 * photographs + drawn]
-
-    def network(self) -> nn.Module:
-        """Filters and their weights."""
-        return Experts()
 
     def loss(self, network: nn.Module) -> Tensor:
         """Mean logarithm of the square error; its gradient through the minimum is by the implicit function theorem."""

@@ -96,6 +96,7 @@ class Training:
     iterations: ClassVar[int] = 10_000
     rate: ClassVar[float] = 1e-3
     without: ClassVar[Sequence[str]] = ()  # photographs that it does not learn from
+    network: ClassVar[type[nn.Module] | staticmethod[[], nn.Module]]  # makes a new one; torch draws its weights
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng  # for all that is drawn at random
@@ -114,10 +115,6 @@ class Training:
         """White noise of variance one for each crop of an iteration, (B, 1, height, width)."""
         return torch.from_numpy(self.rng.standard_normal((BATCH_SIZE, 1, height, width), dtype=np.float32))
 
-    def network(self) -> nn.Module:
-        """A new network; torch draws its weights."""
-        raise NotImplementedError
-
     def loss(self, network: nn.Module) -> Tensor:
         """Loss of the network on new examples; a scalar."""
         raise NotImplementedError
@@ -128,10 +125,7 @@ class Denoiser(Training):
     """White noise of known strength, removed from pictures: the denoiser `cnn`."""
 
     iterations = 4500
-
-    def network(self) -> nn.Module:
-        """A small U-net."""
-        return UNet()
+    network = UNet
 
     def loss(self, network: nn.Module) -> Tensor:
         """Mean absolute error, in units of the noise: a network that does nothing has 0.8."""
@@ -146,10 +140,7 @@ class DestripeCNN(Training):
 
     iterations = 4500
     without = BENCHMARK_PHOTOGRAPHS
-
-    def network(self) -> nn.Module:
-        """A small U-net."""
-        return destriping_network()
+    network = staticmethod(destriping_network)
 
     def loss(self, network: nn.Module) -> Tensor:
         """Mean absolute error in units of the stripes; noise is part of the target."""
@@ -170,10 +161,7 @@ class SuperResolution(Training):
 
     iterations = 2400
     without = BENCHMARK_PHOTOGRAPHS
-
-    def network(self) -> nn.Module:
-        """Ten layers."""
-        return VDSR()
+    network = VDSR
 
     def loss(self, network: nn.Module) -> Tensor:
         """Mean absolute error over that of the enlarged crops; a network without effect has one."""

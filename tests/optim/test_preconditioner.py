@@ -22,7 +22,6 @@ from deepir.optim.preconditioner import (
     Preconditioner,
     low_frequencies,
     make_block_preconditioner,
-    make_preconditioner,
 )
 from deepir.optim.solve import solve
 from deepir.priors.penalties.distance import Ridge
@@ -107,7 +106,7 @@ def test_it_saves_iterations(problem, monkeypatch):
 
 
 def test_there_is_none_for_other_scenes_than_pixels_behind_a_warp(problem):
-    assert make_preconditioner(problem, [problem.fields["motion"].values], ["offset"]) is None
+    assert make_block_preconditioner(problem, [problem.fields["motion"].values], ["offset"]) is None
     assert isinstance(problem.penalties["scene"]["prior"], Ridge)
 
 

@@ -131,7 +131,7 @@ def test_the_eliminated_are_at_the_optimum_when_a_stage_ends(small_nuc):
         problem = small_nuc()
         solution = solve(problem, plan(method, iterations=5))
         values = dict(solution.values)
-        problem.eliminate(values, EVERYTHING)
+        problem.solved(values, EVERYTHING)
         for name in EVERYTHING:
             assert torch.allclose(values[name], solution.values[name], atol=1e-9)
 

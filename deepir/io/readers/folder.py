@@ -29,11 +29,7 @@ class Folder(Reader):
         return path.is_dir() or readers.is_glob(path)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """Frames (N, h, w) of all pictures; a file of several pages gives several frames.
-
-        Raises:
-            DataError: There are none, or they differ in size or type.
-        """
+        """Frames (N, h, w) of all pictures; a file of several pages gives several frames."""
         stacks: list[Array] = []
         files, total = burst_files(path), 0
         for file in files:

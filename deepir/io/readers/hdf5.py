@@ -33,11 +33,7 @@ class Hdf5(Reader):
     any_axes = True
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array, the `key` of which is its path in the file; MATLAB's (h, w, N) becomes (N, h, w).
-
-        Raises:
-            DataError: Several arrays are possible, or the data are in other files.
-        """
+        """The stored array, the `key` of which is its path in the file; MATLAB's (h, w, N) becomes (N, h, w)."""
         with _dataset(path, key, at_once=True) as (data, turned):
             return _turned(_known(data[()], data.attrs), turned)
 

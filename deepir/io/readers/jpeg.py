@@ -96,11 +96,7 @@ class DjiJpeg(Reader):
         return is_large and not _is_infiray(path)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The raw plane (h, w), uint16 counts.
-
-        Raises:
-            DataError: Its size fits no detector.
-        """
+        """The raw plane (h, w), uint16 counts."""
         data = _planes(path)
         for height, width in (_shown(path) or DETECTOR_SHAPES[0], *DETECTOR_SHAPES):
             if len(data) == 2 * height * width:
@@ -123,11 +119,7 @@ class InfirayJpeg(Reader):
         return head.startswith(JPEG_SIGNATURE) and _is_infiray(path)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The plane of temperatures (h, w), uint16, kelvin x 64.
-
-        Raises:
-            DataError: Its size does not go with that of the picture.
-        """
+        """The plane of temperatures (h, w), uint16, kelvin x 64."""
         planes, shown = _planes(path), _shown(path)
         samples = len(planes) // 4  # of each of the two planes
         height = round(math.sqrt(samples * shown[0] / shown[1])) if shown else 0

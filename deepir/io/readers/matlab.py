@@ -42,11 +42,7 @@ class Mat(Reader):
         return head.startswith(MATLAB_5) or (path.suffix.lower() == ".mat" and head[:4] in MATLAB_4)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The array, (h, w) or (N, h, w); MATLAB stores (h, w, N).
-
-        Raises:
-            DataError: It is not an array of numbers, or several are possible, or the file is of version 4.
-        """
+        """The array, (h, w) or (N, h, w); MATLAB stores (h, w, N)."""
         with path.open("rb") as file:
             if not file.read(len(MATLAB_5)).startswith(MATLAB_5):
                 raise DataError(

@@ -29,11 +29,7 @@ class Npy(Reader):
     any_axes = True
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The stored array.
-
-        Raises:
-            DataError: It holds pickled objects, or has a wrong length.
-        """
+        """The stored array."""
         with path.open("rb") as file:
             return _read_array(file, path, path.stat().st_size)
 

@@ -31,11 +31,7 @@ class Png(Reader):
     signatures = (b"\x89PNG\r\n\x1a\n",)
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The picture (h, w), uint8 or uint16.
-
-        Raises:
-            DataError: It is in colour.
-        """
+        """The picture (h, w), uint8 or uint16."""
         pixels = decode_png(path.read_bytes(), path)
         return pixels if pixels.ndim == 2 else to_grey(pixels, path)
 
@@ -96,11 +92,7 @@ class Picture(Reader):
     generic = True
 
     def read(self, path: Path, key: str | None) -> Array:
-        """The picture (h, w), uint8.
-
-        Raises:
-            DataError: It is in colour, or only the preview of raw data.
-        """
+        """The picture (h, w), uint8."""
         _refuse_preview(path)
         with Image.open(path, formats=PILLOW_FORMATS) as image:
             check_size(path, 3 * image.width * image.height, path.stat().st_size, compressed=True)
