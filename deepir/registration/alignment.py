@@ -94,22 +94,15 @@ def warp_to_reference(level: Level, pattern: Tensor, motion: Tensor) -> WarpedFr
     return WarpedFrames(frames, known, frames.sum(0), known.sum(0))
 
 
-def aitken_relaxation(
-    relaxation: Tensor,
-    step: Tensor,
-    previous_step: Tensor,
-    *,
-    bounds: tuple[float, float] = (0.5, 3.0),
-    min_denominator: float = 0.3,
-) -> Tensor:
+def aitken_relaxation(relaxation: Tensor, step: Tensor, previous_step: Tensor) -> Tensor:
     """New relaxation factors `(P,)` of the parameters by Aitken's delta-squared (secant) rule, common to all frames.
 
     Scene and pattern follow the motions and slow some parameters down. Others would oscillate, since all frames step
     towards the mean of the others at once. `step` is the Gauss-Newton step `(N, P)`; the one before is zero in the
-    first round. `min_denominator` bounds one minus the ratio of the two.
+    first round.
     """
     ratio = (step * previous_step).sum(0) / previous_step.square().sum(0).clamp_min(1e-12)
-    return (relaxation / (1 - ratio).clamp_min(min_denominator)).clamp(*bounds)
+    return (relaxation / (1 - ratio).clamp_min(0.3)).clamp(0.5, 3.0)  # bounds of the denominator and of the factors
 
 
 def estimate_pattern(level: Level, motion: Tensor) -> tuple[Tensor, float]:

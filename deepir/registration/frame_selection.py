@@ -187,13 +187,11 @@ def exceeds_shift(level: Level, motion: Tensor, fraction: float) -> bool:
     return bool((motion[:, :2, 2].abs() > fraction * torch.tensor(level.shape[::-1])).any())
 
 
-def frames_at_rest(
-    level: Level, alignment: Alignment, *, max_ratios: tuple[float, float] = (1.3, 4.0), far_shift: float = 0.3
-) -> Tensor:
+def frames_at_rest(level: Level, alignment: Alignment) -> Tensor:
     """Frames `(N,)` bool that are equal up to noise; none if the alignment explains them better than rest does.
 
     Their misfit per degree of freedom at rest is below a multiple of that at the motions found. The multiple is larger
-    after motions beyond `far_shift` of the frame, where few frames share a scene point.
+    after large shifts, where few frames share a scene point.
     """
     rest = identity(len(level.frames))
     unchanged = concordance(level, torch.zeros_like(level.weight), rest) >= MIN_CONCORDANCE
@@ -201,41 +199,23 @@ def frames_at_rest(
     if len(frames) < 3:
         return torch.zeros_like(unchanged)
     misfit = float((frames - frames.mean(0)).square().mean() / frames.square().mean().clamp_min(1e-12))
-    ratio = max_ratios[exceeds_shift(level, alignment.motion, far_shift)]
+    ratio = 4.0 if exceeds_shift(level, alignment.motion, 0.3) else 1.3  # of misfits; shifts, of the frame
     return unchanged & (misfit / (len(frames) - 1) < ratio * misfit_per_dof(alignment))
 
 
-def shutter_frames(
-    level: Level,
-    model: str,
-    *,
-    max_spread: float = 1.35,
-    duplicate_distance: float = 0.1,
-    max_misfit_ratio: float = 0.1,
-    max_static_power: float = 0.06,
-    min_consistent: float = 0.7,
-) -> Tensor:
-    """Frames `(N,)` bool of a closed shutter, which show the fixed pattern only.
+def shutter_frames(level: Level, model: str) -> Tensor:
+    """Frames `(N,)` bool of a closed shutter, which show the fixed pattern only, by a motion model.
 
     All scene frames are equally far from such a frame. After its subtraction they show one scene that moves, and
     nothing static; after the subtraction of a scene frame they would show its scene as static.
-
-    Args:
-        level: N frames.
-        model: motion model.
-        max_spread: largest over smallest squared distance from a shutter frame to the scene frames.
-        duplicate_distance: of the median squared distance; closer frames are equal up to noise.
-        max_misfit_ratio: of scene minus shutter frames: misfit at their motions, over that at rest.
-        max_static_power: of scene minus shutter frames: static share of the mean square.
-        min_consistent: share of the scene frames that show one scene.
     """
     images = level.frames.flatten(1)
     none = torch.zeros(len(images), dtype=torch.bool)
     distances = torch.cdist(images, images).square()
     typical = distances[~torch.eye(len(images), dtype=torch.bool)].median()
-    least_spread, scene_frames = max_spread, none
+    least_spread, scene_frames = 1.35, none  # largest over smallest squared distance to the scene frames
     for distance in distances:
-        different = distance > duplicate_distance * typical
+        different = distance > 0.1 * typical  # closer frames are equal up to noise
         if different.sum() >= MIN_SCENE_FRAMES:
             spread = float(distance[different].max() / distance[different].min())
             if spread < least_spread:
@@ -247,7 +227,7 @@ def shutter_frames(
     motion, match_score = correlation_search(difference.frames, difference, model, pattern_present=False)
     used, alignment = reject_frames(difference, match_score > 1, motion, model)
     _, misfit_at_rest = estimate_pattern(difference.subset(used), identity(int(used.sum())))
-    is_static = alignment.pattern.square().mean() > max_static_power * difference.frames.square().mean()
-    is_explained = alignment.misfit < max_misfit_ratio * misfit_at_rest
-    is_consistent = used.float().mean() > min_consistent
+    is_static = alignment.pattern.square().mean() > 0.06 * difference.frames.square().mean()  # share
+    is_explained = alignment.misfit < 0.1 * misfit_at_rest
+    is_consistent = used.float().mean() > 0.7  # of the scene frames show one scene
     return ~scene_frames if is_consistent and is_explained and not is_static else none

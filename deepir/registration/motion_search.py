@@ -112,46 +112,32 @@ def refine(estimate: MotionEstimate) -> MotionEstimate:
     return replace(estimate, motion=motion)
 
 
-def refine_rotation(
-    frames: Tensor,
-    weight: Tensor,
-    levels: list[Level],
-    motion: Tensor,
-    *,
-    min_change: float = 0.4,
-    n_left_out: int = 3,
-) -> Tensor:
+def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion: Tensor) -> Tensor:
     """Replace rigid motions by those aligned from the most likely rotations, if the blocks' likelihood accepts them.
 
-    Args:
-        frames: `(N, H, W)`.
-        weight: `(H, W)`, zero where a pixel is bad.
-        levels: the same frames, on the final levels.
-        motion: `(N, 3, 3)`, of least residuals.
-        min_change: px at the corners of the block means; accuracy of the likelihood.
-        n_left_out: of nine blocks, those that gain most: a moving object may cover them.
+    The motions `(N, 3, 3)`, of least residuals, are those of frames `(N, H, W)` of weight `(H, W)`; `levels` hold the
+    same frames on the final levels.
     """
     most_likely = most_likely_rotations(frames, weight, motion)
     if most_likely is motion:
         return motion
     reduced, factor = likelihood_frames(frames, weight, ROTATION_SIDE)
     before, start = (change_pixel_size(relative(each), factor) for each in (motion, most_likely))
-    if corner_distance(before, start, reduced) < min_change:
+    if corner_distance(before, start, reduced) < 0.4:  # px of the block means; accuracy of the likelihood
         return motion
     refined = align_levels(levels, most_likely, "rigid")
     after = change_pixel_size(relative(refined), factor)
-    return refined if accept_by_blocks(block_log_ratios(reduced, before, after, GRID_3X3), n_left_out) else motion
+    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
+    return refined if accept_by_blocks(block_ratios, n_left_out=3) else motion
 
 
-def most_likely_rotations(
-    frames: Tensor, weight: Tensor, motion: Tensor, *, min_frames: int = 4, min_side: int = 48
-) -> Tensor:
+def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
     """Maximum-likelihood rigid motions `(N, 3, 3)` of frames `(N, H, W)` of weight `(H, W)`, near given ones.
 
     The object `motion` itself if frames are too few or too small: with three, noise decides, and a ninth of a smaller
     frame holds too few waves.
     """
-    if len(frames) < min_frames or min(weight.shape) < min_side:
+    if len(frames) < 4 or min(weight.shape) < 48:  # px
         return motion
     reduced, factor = likelihood_frames(frames, weight, ROTATION_SIDE)
     start = change_pixel_size(relative(motion), factor)

@@ -42,41 +42,24 @@ from deepir.registration.robust_score import (
 from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
 
 
-def moving_object_mask(
-    preprocessed: Tensor,
-    *,
-    window: int = 3,
-    thresholds: tuple[float, float] = (8.0, 16.0),
-    min_thickness: int = 5,
-    margin: int = 4,
-    max_fraction: float = 1 / 3,
-) -> Tensor:
+def moving_object_mask(preprocessed: Tensor) -> Tensor:
     """Samples `(N, H, W)`, bool, of moving objects: thick regions of large deviation from the temporal median.
 
-    By hysteresis thresholding, then morphology. Lengths are px of frames reduced to a longer side of at most
-    `LIKELIHOOD_SIDE` px.
-
-    Args:
-        preprocessed: `(N, H, W)`.
-        window: side of the window over which the deviation is averaged.
-        thresholds: robust standard deviations that all samples of an object exceed, and one of them.
-        min_thickness: thinner regions are edges of a scene that moves.
-        margin: by which regions are dilated.
-        max_fraction: of a frame; where more changes, the frame shows another place.
+    By hysteresis thresholding, then morphology, on frames reduced to a longer side of at most `LIKELIHOOD_SIDE` px.
     """
     h, w = preprocessed.shape[1:]
     factor = max(1, -(-max(h, w) // LIKELIHOOD_SIDE))
     reduced = block_mean(preprocessed, factor)
     reduced = reduced - reduced.flatten(1).median(1).values[:, None, None]
     deviation = (reduced - reduced.median(0).values).numpy()
-    change = np.abs(uniform_filter(deviation, (0, window, window)))
+    change = np.abs(uniform_filter(deviation, (0, 3, 3)))  # px
     sigma = MAD_TO_SIGMA * float(np.median(change))
-    low, high = (change > threshold * sigma for threshold in thresholds)
-    candidates = binary_opening(low, np.ones((1, min_thickness, min_thickness)))
+    low, high = change > 8 * sigma, change > 16 * sigma  # all samples of an object, and one of them
+    candidates = binary_opening(low, np.ones((1, 5, 5)))  # px; thinner: edges of a scene that moves
     neighbours = np.arange(27).reshape(3, 3, 3) // 9 == 1  # the eight of a sample, in its own frame
     regions, _ = label(candidates, neighbours)
-    mask = binary_dilation(np.isin(regions, np.unique(regions[candidates & high])), neighbours, iterations=margin)
-    mask &= mask.mean((1, 2), keepdims=True) < max_fraction
+    mask = binary_dilation(np.isin(regions, np.unique(regions[candidates & high])), neighbours, iterations=4)  # px
+    mask &= mask.mean((1, 2), keepdims=True) < 1 / 3  # of a frame; where more changes, it shows another place
     mask = mask.repeat(factor, 1).repeat(factor, 2)
     padding = (0, 0), (0, h - mask.shape[1]), (0, w - mask.shape[2])
     return torch.from_numpy(np.pad(mask, padding, mode="edge"))
@@ -92,13 +75,10 @@ def inpaint_mean(frames: Tensor, mask: Tensor, weight: Tensor) -> Tensor:
     return torch.where(mask, _masked_mean(centred, weight * ~mask), centred).add_(levels)
 
 
-def inpaint_background(
-    frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor, *, passes: int = 3, min_visible: float = 0.99
-) -> Tensor:
+def inpaint_background(frames: Tensor, mask: Tensor, weight: Tensor, motion: Tensor) -> Tensor:
     """Replace masked samples of frames `(N, H, W)` by scene and pattern of the others, at motions `(N, 3, 3)`.
 
-    Scene and pattern are estimated alternately. A sample of an interpolated weight above `min_visible` shows the
-    background only. Where no other frame shows the scene, the temporal mean replaces the
+    Scene and pattern are estimated alternately. Where no other frame shows the scene, the temporal mean replaces the
     samples. The median of each frame is kept. The mask is `(N, H, W)`, bool; the weight `(H, W)`, zero where a pixel is
     bad.
     """
@@ -107,10 +87,10 @@ def inpaint_background(
     centred, visible, inverse = frames - levels, weight * ~mask, torch.linalg.inv(motion)
     mean = _masked_mean(centred, visible)
     interpolated, known = sample(visible, inverse, level)
-    is_visible = known * (interpolated > min_visible)
+    is_visible = known * (interpolated > 0.99)  # background only
     n_visible = is_visible.sum(0).clamp_min(1)
     pattern = torch.zeros_like(mean)
-    for _ in range(passes):
+    for _ in range(3):
         scene = (sample(centred - pattern, inverse, level)[0] * is_visible).sum(0) / n_visible
         scene = torch.where(is_visible.any(0), scene, mean - pattern)
         expected, known = sample(scene[None], motion, level)

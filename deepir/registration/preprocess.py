@@ -69,21 +69,21 @@ def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
     return y
 
 
-def line_pattern(image: Tensor, axis: int, *, window: int = 31) -> Tensor:
+def line_pattern(image: Tensor, axis: int) -> Tensor:
     """Offset of each line along `axis`: median, along it, of the difference from a moving average across the lines.
 
-    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows. What is broader than the window, px,
-    is no stripe.
+    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows.
     """
+    window = 31  # px; what is broader is no stripe
     moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), window, axis=1 - axis, mode="nearest")
     return (image - torch.from_numpy(moving_average)).median(axis, keepdim=True).values
 
 
-def stuck_pixels(image: Tensor, *, threshold: float = 10.0) -> Tensor:
-    """Pixels `(H, W)` bool that differ from their 3 x 3 median by so many robust standard deviations."""
+def stuck_pixels(image: Tensor) -> Tensor:
+    """Pixels `(H, W)` bool that differ from their 3 x 3 median by ten robust standard deviations."""
     deviation = (image - median_filter(image[None, None])[0, 0]).abs()
     scale = MAD_TO_SIGMA * float(subsample(deviation[None])[0].median())
-    return deviation > (threshold * scale or torch.inf)
+    return deviation > (10 * scale or torch.inf)
 
 
 def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
@@ -99,48 +99,40 @@ def variance_stabilise(frames: Tensor, weight: Tensor) -> Tensor:
     return (frames / asinh_scale(frames.mean(0).numpy())).asinh()
 
 
-def fill_bad_pixels(frames: Tensor, good: Tensor, *, window: int = 5, min_good_fraction: float = 0.03) -> Tensor:
+def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
     """Fill bad pixels with the mean of the good ones, `(h, w)` bool, in the smallest window that holds enough of them.
 
-    The first window is that given; each next one is about twice as wide. Returns frames `(N, h, w)` float64; zero if no
-    pixel is good.
+    Each next window is about twice as wide. Returns frames `(N, h, w)` float64; zero if no pixel is good.
     """
+    window = 5  # px
     filled, unknown = torch.where(good, frames.double(), 0.0), ~good
     known, fraction = filled.numpy(), good.double().numpy()
     while unknown.any() and good.any():
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")
         local_sum = scipy.ndimage.uniform_filter(known, (0, window, window), mode="constant")
-        least = min_good_fraction if window < max(good.shape) else 1e-9  # any pixel, but no rounding
+        least = 0.03 if window < max(good.shape) else 1e-9  # of the window; at last any pixel, but no rounding
         fillable = unknown & torch.from_numpy(local_fraction > least)
         filled = torch.where(fillable, torch.from_numpy(local_sum / local_fraction.clip(least)), filled)
         unknown, window = unknown & ~fillable, 2 * window + 1
     return filled
 
 
-def asinh_scale(
-    image: np.ndarray, *, window: int = 7, n_flux_bins: int = 8, bounds: tuple[float, float] = (0.05, 50.0)
-) -> float:
+def asinh_scale(image: np.ndarray) -> float:
     """Flux at which gains and offsets contribute equally to the pattern: scale `k` of the asinh transform.
 
-    The variance of an image about its local mean is fitted by `a z^2 + b` over bins of the flux `z`, with weights of
-    one over its square, `a` and `b` not negative. The scale is `sqrt(b / a)`, in units of the image.
-
-    Args:
-        image: `(h, w)`, the mean of the frames.
-        window: px; a pixel's deviation from this window's mean shows its gain and offset.
-        n_flux_bins: quantile bins of the pixels, from dark to bright.
-        bounds: of the scale, root mean squares of the flux: from nearly logarithmic to nearly linear.
+    The variance of an image `(h, w)`, the mean of the frames, about its local mean is fitted by `a z^2 + b` over
+    quantile bins of the flux `z`, with weights of one over its square, `a` and `b` not negative. The scale is
+    `sqrt(b / a)`, in units of the image, bounded between a nearly logarithmic and a nearly linear transform.
     """
-    local_mean = scipy.ndimage.uniform_filter(image, window, mode="nearest")
+    local_mean = scipy.ndimage.uniform_filter(image, 7, mode="nearest")  # px
     rms = float(np.sqrt(np.mean(local_mean**2))) or 1.0
-    bins = np.array_split(local_mean.ravel().argsort(), n_flux_bins)
+    bins = np.array_split(local_mean.ravel().argsort(), 8)
     flux, deviation = local_mean.ravel() / rms, np.abs(image - local_mean).ravel() / rms
     mean_square = np.array([np.mean(flux[pixels] ** 2) for pixels in bins])
     pattern_power = np.array([np.median(deviation[pixels]) ** 2 for pixels in bins]).clip(1e-20)
-    (offset, gain), _ = scipy.optimize.nnls(
-        np.stack((1 / pattern_power, mean_square / pattern_power), 1), np.ones(n_flux_bins)
-    )
-    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), *bounds))
+    terms = np.stack((1 / pattern_power, mean_square / pattern_power), 1)
+    (offset, gain), _ = scipy.optimize.nnls(terms, np.ones(len(bins)))
+    return rms * float(np.clip(np.sqrt(offset / max(gain, 1e-20)), 0.05, 50.0))  # root mean squares of the flux
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,12 @@ def accept_by_residuals(level: Level, before: Tensor, after: Tensor) -> bool:
     return log_likelihood_ratio(level, before, after) >= MIN_CLEAR_GAIN
 
 
-def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor, *, n_trimmed: int = 2) -> float:
+def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor) -> float:
     """Nats per sample that motions `after` gain over others: trimmed mean over nine blocks of the frame.
 
     The likelihood is heavy-tailed; its scale is that of the better motions. Samples that no other frame shows count as
     unexplained, else motions without overlap would score best. Any motions explain two frames: their ratio is zero.
-
-    Args:
-        level: N frames.
-        before: `(N, 3, 3)`, NaN where a frame is not used.
-        after: `(N, 3, 3)`, likewise.
-        n_trimmed: blocks that are left out at either end of the sorted gains.
+    Motions are `(N, 3, 3)`, NaN where a frame is not used.
     """
     if min(int(motion.isfinite().all((1, 2)).sum()) for motion in (before, after)) < MIN_OVERLAPPING:
         return 0.0
@@ -41,7 +36,7 @@ def log_likelihood_ratio(level: Level, before: Tensor, after: Tensor, *, n_trimm
     sigma = min(robust_sigma(residuals_before), robust_sigma(residuals_after))
     gain = (sample_nll(residuals_before, sigma) - sample_nll(residuals_after, sigma)).mean(0)
     block_gains = sorted(float(block.mean()) for rows in gain.chunk(3) for block in rows.chunk(3, 1))
-    central = block_gains[n_trimmed:-n_trimmed] or block_gains  # frames of a few lines have fewer blocks
+    central = block_gains[2:-2] or block_gains  # frames of a few lines have fewer blocks
     return sum(central) / len(central)
 
 
@@ -57,12 +52,12 @@ def robust_sigma(residual: Tensor) -> float:
     return max(MAD_TO_SIGMA * float(finite.median()), 1e-12) if len(finite) else torch.inf
 
 
-def sample_nll(residual: Tensor, sigma: float, *, bound: float = 10.0, tail_variance: float = 4.0) -> Tensor:
+def sample_nll(residual: Tensor, sigma: float) -> Tensor:
     """Negative log-likelihood of each sample, nats, up to a constant: Cauchy, bounded.
 
     `residual` are magnitudes `(N, h, w)`, infinite where no other frame predicts the sample; these count as the bound.
-    Bound and squared scale of the tail are in units of their robust standard deviation `sigma`.
     """
+    bound, tail_variance = 10.0, 4.0  # in units of the robust standard deviation and its square
     bounded = (residual / sigma).where(residual.isfinite(), bound).clamp_max(bound)
     return torch.log1p(bounded.square() / tail_variance)
 
@@ -82,19 +77,11 @@ def absolute_residuals(level: Level, motion: Tensor) -> Tensor:
     return residual
 
 
-def median_model(
-    level: Level, motion: Tensor, *, passes: int = 10, extrapolation: float = 0.8
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Scene and pattern at given motions, alternately, as medians over the used frames.
+def median_model(level: Level, motion: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Scene and pattern at motions `(N, 3, 3)`, NaN if not used, alternately, as medians over the used frames.
 
-    An object that covers a point in few frames is in neither median.
-
-    Args:
-        level: N frames.
-        motion: `(N, 3, 3)`, NaN where a frame is not used.
-        passes: alternations of scene and pattern.
-        extrapolation: share of its last change by which the pattern is extrapolated in each pass. With little motion,
-            scene and pattern separate slowly; unconverged, too large motions would score best.
+    An object that covers a point in few frames is in neither median. With little motion, scene and pattern separate
+    slowly, so the pattern is extrapolated; unconverged, too large motions would score best.
 
     Returns:
         Scene and pattern `(h, w)`, and the samples of the M used frames that other frames show, too, `(M, h, w)` bool.
@@ -106,8 +93,8 @@ def median_model(
     visible = sample(level.frames, inverse, level)[1] > 0
     n_visible, _ = sample(visible.sum(0)[None].float(), motion, level)
     overlapping = (n_visible > MIN_OVERLAPPING) & (level.weight > 0)
-    for _ in range(passes):
-        extrapolated = pattern + extrapolation * (pattern - previous)
+    for _ in range(10):
+        extrapolated = pattern + 0.8 * (pattern - previous)  # share of its last change
         scene = _masked_median(sample(level.frames - extrapolated, inverse, level)[0], visible)
         expected, known = sample(scene[None], motion, level)
         previous, pattern = pattern, _masked_median(level.frames - expected, overlapping & (known > 0))
@@ -121,23 +108,20 @@ def _masked_median(images: Tensor, known: Tensor) -> Tensor:
     return torch.where(last >= 0, (middle[0] + middle[1]) / 2, 0)
 
 
-def reregister_worst_frames(
-    level: Level, motion: Tensor, model: str, *, max_frames: int = 32, min_others: int = 3
-) -> Tensor:
+def reregister_worst_frames(level: Level, motion: Tensor, model: str) -> Tensor:
     """Search the worst frame again in the median scene of the others, as long as that clearly raises the score.
 
     Of motions `(N, 3, 3)`, NaN where a frame is not used, at most a few change. The model "shift" searches shifts only,
-    any other model rotations, too. At most `max_frames` are searched again, since each search takes the time of all
-    frames, and each in `min_others` or more.
+    any other model rotations, too.
     """
     used = motion.isfinite().all((1, 2))
-    for _ in range(min(len(motion), max_frames)):
+    for _ in range(min(len(motion), 32)):  # each search takes the time of all frames
         residual = absolute_residuals(level, motion)
         frame_nll = sample_nll(residual, robust_sigma(residual)).mean((1, 2))
         worst = [int(frame_nll.where(used, -torch.inf).argmax())]
         candidate = motion.clone()
         candidate[worst] = torch.nan
-        if candidate.isfinite().all((1, 2)).sum() < min_others:
+        if candidate.isfinite().all((1, 2)).sum() < 3:
             break
         scene, pattern, _ = median_model(level, candidate)
         image = level.frames[worst] - pattern

@@ -27,16 +27,14 @@ BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra 
 PEAK_PER_ROOT_PIXEL, PEAK_BOUNDS = 0.12, (4.5, 8.0)
 
 
-def correlation_search(
-    images: Tensor, level: Level, model: str, pattern_present: bool, *, max_references: int = 4
-) -> tuple[Tensor, Tensor]:
+def correlation_search(images: Tensor, level: Level, model: str, pattern_present: bool) -> tuple[Tensor, Tensor]:
     """Register all images `(N, h, w)` to the one that most of them match, the first of these.
 
     Arguments as `match_to_reference`. Returns motions `(N, 3, 3)` relative to the reference, and match scores `(N,)`:
     height of the peak over the detection threshold, infinite for the reference itself.
     """
     candidates, found = list(range(len(images))), []
-    for _ in range(max_references):
+    for _ in range(4):  # references at most
         reference = candidates[0]
         motion, match_score = match_to_reference(images[reference], images, level, model, pattern_present)
         motion[reference], match_score[reference] = torch.eye(3, dtype=torch.float64), math.inf
@@ -137,23 +135,17 @@ class Likelihood(Protocol):
         """Estimate the powers at parameters `(K, P)` in px."""
 
 
-def maximise(
-    likelihood: Likelihood, parameters: np.ndarray, *, max_alternations: int = 3, converged: float = 0.05
-) -> np.ndarray:
+def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
     """Parameters `(K, P)` of a local maximum of a likelihood, px: by L-BFGS in turn with estimates of the powers.
 
-    Args:
-        likelihood: its state is changed.
-        parameters: `(K, P)`, initial values, px.
-        max_alternations: of parameters and powers.
-        converged: px; a smaller step ends them.
+    From initial parameters `(K, P)`. The likelihood's powers are changed.
     """
     objective = likelihood.negative_log_likelihood
     options = {"maxiter": 20, "gtol": 1.0}  # nats per px
-    for _ in range(max_alternations):
+    for _ in range(3):  # alternations at most
         result = minimize(objective, parameters.ravel(), jac=True, method="L-BFGS-B", options=options)
         previous, parameters = parameters, result.x.reshape(parameters.shape)
-        if np.abs(parameters - previous).max() < converged:
+        if np.abs(parameters - previous).max() < 0.05:  # px
             break
         likelihood.update_powers(parameters)
     return parameters
@@ -218,13 +210,13 @@ class ShiftLikelihood:
         negative_log_likelihood(0, rows, *self._kernel_arguments(shifts.reshape(-1, 2)), values, gradient)
         return float(values.sum()), gradient.sum(0)[1:].ravel()
 
-    def update_powers(self, shifts: np.ndarray, *, steps: int = 6) -> None:
-        """Estimate the powers at shifts `(N - 1, 2)` in px by a few steps of expectation-maximisation."""
+    def update_powers(self, shifts: np.ndarray) -> None:
+        """Estimate the powers at shifts `(N - 1, 2)` in px by six steps of expectation-maximisation."""
         from deepir.kernels.shift_likelihood import expected_powers
 
         n, rows = len(self.real), len(self.y)
         expected, pattern_powers = np.empty((rows, WAVES.n_rings + 1, 2)), np.empty(rows)
-        for _ in range(steps):
+        for _ in range(6):
             expected_powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
             scene, noise = (expected.sum(0) / np.maximum(self.ring_sizes, 1)[:, None]).T
             self.scene, self.noise = scene[self.ring], np.maximum(noise / n, self.noise_floor)[self.ring]
@@ -236,7 +228,7 @@ class ShiftLikelihood:
         return self.real, self.imag, all_shifts, self.y, self.x, self.scene, self.pattern, self.noise
 
 
-def integer_shifts(frames: Tensor, *, max_sweeps: int = 4) -> np.ndarray:
+def integer_shifts(frames: Tensor) -> np.ndarray:
     """Most likely integer shifts (x, y) `(N - 1, 2)`, px, of variance-stabilised frames relative to the first.
 
     By coordinate descent over the frames. Each frame is compared with the placed ones at all shifts d at once. The
@@ -247,7 +239,7 @@ def integer_shifts(frames: Tensor, *, max_sweeps: int = 4) -> np.ndarray:
     likelihood = ShiftLikelihood(frames)
     h, w = likelihood.size
     shifts, is_placed = np.zeros((len(frames), 2), int), np.arange(len(frames)) == 0
-    for _ in range(max_sweeps):
+    for _ in range(4):  # sweeps at most
         previous = shifts.copy()
         for k in range(1, len(frames)):
             other_frames = is_placed & (np.arange(len(frames)) != k)
