@@ -15,7 +15,7 @@ from scipy import ndimage
 from deepir.arrays.samples import MAD_TO_SIGMA, pattern_outliers
 from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
 from deepir.recording.defective_pixels import noise_deviation, of_neighbours
-from deepir.recording.joint_solve import LowOrderSystem, low_order_step
+from deepir.recording.joint_solve import low_order_step
 from deepir.recording.keyframes import spread
 from deepir.recording.modes import (
     LowOrderModes,
@@ -124,7 +124,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
     return low_order_part(offset)
 
 
-def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[LowOrderSystem]:
+def _displaced(frames: Array, neighbours: Sequence[Sequence[int]]) -> list[DisplacedFrames]:
     references = spread([k for k, others in enumerate(neighbours) if others], REFERENCES)
     pairs = [(k, other) for k in references for other in spread(neighbours[k], NEIGHBOURS)]
     noise = noise_deviation(frames.astype(np.float32))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import linalg
@@ -19,6 +19,9 @@ from scipy import linalg
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.recording.burst import Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
+
+if TYPE_CHECKING:
+    from deepir.recording.displaced import DisplacedFrames
 
 Array = np.ndarray[Any, Any]
 
@@ -35,22 +38,6 @@ UPDATES = 4  # of the strengths in a round
 SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
 GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
 GAIN_DEVIATION = 0.003  # of columns' and pixels' gain from one, to start from
-
-
-class LowOrderSystem(Protocol):
-    """Frames whose levels, motions and gains are unknown beside the low-order part of the offset."""
-
-    noise: float
-    level_variance: float  # of a step from frame to frame
-    level_variances: Sequence[float]  # of which the likeliest is taken
-    inflation: float  # of the misfit over the noise
-    levels: Array
-    gains: Array
-    gains_differ: bool
-    common_error: Array  # variance (h, w) of what errors that all frames share add to each mode
-
-    def equations(self, modes: LowOrderModes, offset: Array, gain: Array) -> NormalEquations:
-        """Of the low-order part."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +108,7 @@ def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | No
 
 
 def low_order_step(
-    bursts: Sequence[LowOrderSystem],
+    bursts: Sequence[Burst | DisplacedFrames],
     modes: LowOrderModes,
     prior: PatternPrior,
     offset: Array,
@@ -175,7 +162,7 @@ class _Fit:
 
 
 def _fit(
-    bursts: Sequence[LowOrderSystem],
+    bursts: Sequence[Burst | DisplacedFrames],
     systems: Sequence[NormalEquations],
     prior: PatternPrior,
     modes: LowOrderModes,
@@ -211,7 +198,7 @@ class _Reduced:
     evidence: float
 
 
-def _nuisance(burst: LowOrderSystem, system: NormalEquations, modes: LowOrderModes) -> _Reduced:
+def _nuisance(burst: Burst | DisplacedFrames, system: NormalEquations, modes: LowOrderModes) -> _Reduced:
     """Eliminate the unknowns of the frames, whose priors are about what they are so far, and errors they share."""
     count, common_error = modes.count, modes.variances(burst.common_error)
     matrix, score = system.matrix / burst.inflation, system.score / burst.inflation
@@ -236,7 +223,7 @@ def _nuisance(burst: LowOrderSystem, system: NormalEquations, modes: LowOrderMod
     return _Reduced((matrix + matrix.T) / 2, own, of, float(evidence))
 
 
-def _frame_prior(burst: LowOrderSystem, per_frame: int) -> Array:
+def _frame_prior(burst: Burst | DisplacedFrames, per_frame: int) -> Array:
     """Inverse covariance of the frames' unknowns: levels drift, motions are known, gains are near one."""
     count = len(burst.levels)
     steps = np.diff(np.eye(count), axis=0)

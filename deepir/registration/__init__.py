@@ -12,7 +12,7 @@ The algorithm, with the functions of each step in order:
 4. Alignment on the final levels: scene, fixed pattern and motions alternately, by robust Gauss-Newton steps
    (`alignment.align`, `motion_search.align_levels`).
 5. Other candidates, scene and pattern integrated out: shifts of maximum likelihood
-   (`shift_likelihood.integer_shifts`, `maximise_shift_likelihood`, `block_likelihood.select_by_blocks`), and rotations
+   (`shift_likelihood.integer_shifts`, `maximise`, `block_likelihood.select_by_blocks`), and rotations
    (`motion_search.refine_rotation`).
 6. Moving objects: if motions do not explain the frames well, steps 3 to 5 once more with the objects inpainted and from
    the background alone (`moving_objects.register_beside_moving_objects`); the worst frames are searched again

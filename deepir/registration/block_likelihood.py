@@ -18,12 +18,7 @@ from torch import Tensor
 
 from deepir.operators.motion_models import identity, nearest_angle, relative, rotation, transform_points
 from deepir.registration.preprocess import block_mean, variance_stabilise
-from deepir.registration.shift_likelihood import (
-    ShiftLikelihood,
-    integer_shifts,
-    maximise,
-    maximise_shift_likelihood,
-)
+from deepir.registration.shift_likelihood import ShiftLikelihood, integer_shifts, maximise
 
 Grid = tuple[tuple[int, int], ...]
 
@@ -160,7 +155,7 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
     linear = best.clone() if model in MODELS_WITH_STRETCH else identity(len(motion))
     for start in initial_shifts(reduced, residual[1:, :2, 2].numpy(), is_shift):
         after = linear.clone()
-        after[1:, :2, 2] = torch.from_numpy(maximise_shift_likelihood(reduced, start))
+        after[1:, :2, 2] = torch.from_numpy(maximise(ShiftLikelihood(reduced), start))
         if factor * corner_distance(best, after, reduced) < SELECTION.negligible_distance:
             continue
         if accept_by_blocks(block_log_ratios(reduced, best, after, GRID_2X2)):

@@ -39,7 +39,7 @@ from deepir.registration.robust_score import (
     reregister_worst_frames,
     robust_nll,
 )
-from deepir.registration.shift_likelihood import integer_shifts, maximise_shift_likelihood
+from deepir.registration.shift_likelihood import ShiftLikelihood, integer_shifts, maximise
 
 
 def moving_object_mask(preprocessed: Tensor) -> Tensor:
@@ -208,7 +208,7 @@ def most_likely_motion(frames: Tensor, weight: Tensor, model: str) -> Tensor:
     """
     reduced, factor = likelihood_frames(frames, weight)
     motion = identity(len(reduced))
-    motion[1:, :2, 2] = factor * torch.from_numpy(maximise_shift_likelihood(reduced, integer_shifts(reduced)))
+    motion[1:, :2, 2] = factor * torch.from_numpy(maximise(ShiftLikelihood(reduced), integer_shifts(reduced)))
     if model != "rigid":
         return motion
     rigid = most_likely_rotations(frames, weight, motion)

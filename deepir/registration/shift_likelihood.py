@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -13,6 +13,9 @@ from torch import Tensor
 
 from deepir.operators.motion_models import rotation
 from deepir.registration.preprocess import Level, sample
+
+if TYPE_CHECKING:
+    from deepir.registration.block_likelihood import RotationLikelihood
 
 SEARCH_ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]  # radians
 #: Ratio by which the peak of a rotated frame must exceed the best one before it. Among several low peaks (depth, plain
@@ -125,17 +128,7 @@ class WaveSelection:
 WAVES = WaveSelection()
 
 
-class Likelihood(Protocol):
-    """Likelihood of the motions of K frames, of P parameters each, with powers to be estimated."""
-
-    def negative_log_likelihood(self, parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        """Value in nats, up to a constant, and gradient `(K P,)` at parameters `(K P,)` in px."""
-
-    def update_powers(self, parameters: np.ndarray) -> None:
-        """Estimate the powers at parameters `(K, P)` in px."""
-
-
-def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
+def maximise(likelihood: ShiftLikelihood | RotationLikelihood, parameters: np.ndarray) -> np.ndarray:
     """Parameters `(K, P)` of a local maximum of a likelihood, px: by L-BFGS in turn with estimates of the powers.
 
     From initial parameters `(K, P)`. The likelihood's powers are changed.
@@ -149,14 +142,6 @@ def maximise(likelihood: Likelihood, parameters: np.ndarray) -> np.ndarray:
             break
         likelihood.update_powers(parameters)
     return parameters
-
-
-def maximise_shift_likelihood(frames: Tensor, start: np.ndarray) -> np.ndarray:
-    """Maximum-likelihood shifts (x, y) `(N - 1, 2)`, px, of frames relative to the first, from initial shifts.
-
-    The frames `(N, h, w)` are variance-stabilised.
-    """
-    return maximise(ShiftLikelihood(frames), start)
 
 
 class ShiftLikelihood:

@@ -75,7 +75,7 @@ def test_a_moving_object_does_not_bias_the_likelihood():
     sim, frames = recorded("drawn 3", 57, shape=(96, 128), **TONES | walker)
     found, truth = register(frames).motion[:, :2, 2].numpy(), sim.truth.motion[:, :2, 2]
     stable = variance_stabilise(frames, torch.ones(96, 128))
-    followed = shift_likelihood.maximise_shift_likelihood(stable, found[1:])
+    followed = shift_likelihood.maximise(shift_likelihood.ShiftLikelihood(stable), found[1:])
     assert np.abs(followed - truth[1:]).max() < 0.3
     assert np.abs(found - truth).max() < 0.2
 
