@@ -17,11 +17,12 @@ from typing import IO, Any
 
 import numpy as np
 
+from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.kernels import memory, threads
 from deepir.recording.estimate import estimate_fine_offset
-from deepir.recording.keyframes import ChosenFrames, Keyframes, spread
+from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.segments import Segment, estimate_segments
 
 SWITCH_INTERVAL = 0.5e-3  # s that a thread keeps the interpreter while keyframes are sent: frames wait no longer
@@ -60,7 +61,7 @@ class SynchronousEstimator:
         """Whether an estimate is under way: never."""
         return False
 
-    def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
+    def submit(self, chosen: Keyframes, *, quick: bool, former: CorrectionMaps | None) -> None:
         """Estimate, only when not busy; arguments as in `newest_segment`."""
         self._found = newest_segment(chosen.copied(), quick=quick, former=former)
 
@@ -94,7 +95,7 @@ class ProcessEstimator:
         """Whether an estimate is under way, or the process begins."""
         return not self._ready.done() or (self._pending is not None and not self._pending.done())
 
-    def submit(self, chosen: ChosenFrames, *, quick: bool, former: CorrectionMaps | None) -> None:
+    def submit(self, chosen: Keyframes, *, quick: bool, former: CorrectionMaps | None) -> None:
         """Begin an estimate, only when not busy; arguments as in `newest_segment`."""
         self._pending = self._sender.submit(self._estimate, chosen, quick, former)
 
@@ -150,7 +151,7 @@ class ProcessEstimator:
             stderr=subprocess.DEVNULL,
         )
 
-    def _estimate(self, chosen: ChosenFrames, quick: bool, former: CorrectionMaps | None) -> Segment:
+    def _estimate(self, chosen: Keyframes, quick: bool, former: CorrectionMaps | None) -> Segment:
         """Send keyframes, frame by frame, and wait for the estimate."""
         if self._process.poll() is not None:
             self._restart()
@@ -158,10 +159,10 @@ class ProcessEstimator:
         assert to is not None
         assert back is not None
         try:
-            empty = chosen.keyframes(np.empty((0, *chosen.shape[1:]), np.float32))
-            pickle.dump((chosen.shape, empty, quick, former), to)
-            for values in chosen.values():
-                to.write(np.ascontiguousarray(values).data)
+            shape = (len(chosen.frames), *chosen.frames[0].shape)
+            pickle.dump((shape, replace(chosen, frames=np.empty(0)), quick, former), to)
+            for frame in chosen.frames:
+                to.write(as_float32(frame).data)
             to.flush()
             found: Segment = pickle.load(back)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError):  # ValueError: closed meanwhile

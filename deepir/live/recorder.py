@@ -20,7 +20,7 @@ from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps, read_maps
 from deepir.errors import DataError
 from deepir.io.output import Write, output_type, tiff
-from deepir.recording.keyframes import WINDOW, ChosenFrames, KeyframeCollector, motion_spacing
+from deepir.recording.keyframes import WINDOW, KeyframeCollector, Keyframes, motion_spacing
 
 Array = np.ndarray[Any, Any]
 
@@ -213,7 +213,7 @@ class LiveKeyframes:
             while frames and frames[0][0] < number:
                 frames.popleft()
 
-    def chosen(self) -> ChosenFrames:
+    def chosen(self) -> Keyframes:
         """Those that are there now; at least one."""
         groups = self._groups.groups
         if self._groups.count < MIN_IN_GROUPS:
@@ -221,4 +221,4 @@ class LiveKeyframes:
             spacing, _ = motion_spacing(np.stack([small for _, _, small in self._newest]))
             newest = [(number, frame, spacing) for number, frame, _ in self._newest]
             groups = [*(group for group in groups if group[-1][0] < first), newest]
-        return ChosenFrames.of_groups(groups, self.length)
+        return Keyframes.of_groups(groups, self.length)

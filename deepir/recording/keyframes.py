@@ -7,7 +7,7 @@ evenly spread.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from typing import Any, TypeVar
@@ -45,7 +45,7 @@ class Keyframes:
     """Chosen frames.
 
     Attributes:
-        frames: (N, h, w), float32.
+        frames: (N, h, w), float32; of `of_groups` (h, w) each, as they came.
         numbers: of the frames in the recording, (N,), increasing.
         spacings: frames to the next that shows the same things well displaced, of each, (N,).
         length: frames of the recording.
@@ -57,6 +57,20 @@ class Keyframes:
     spacings: Array
     length: int
     eight_bits: bool
+
+    @classmethod
+    def of_groups(cls, groups: Sequence[Sequence[Chosen]], length: int) -> Keyframes:
+        """Those of groups, frames not copied yet; `length`: frames of the recording."""
+        parts: Any = zip(*chain.from_iterable(groups), strict=True)
+        numbers, frames, spacings = parts
+        return cls(frames, np.array(numbers), np.array(spacings), length, frames[0].dtype.itemsize == 1)
+
+    def copied(self) -> Keyframes:
+        """With a copy of the frames, float32; NaN where a sample is masked."""
+        frames = np.empty((len(self.frames), *self.frames[0].shape), np.float32)
+        for copy, frame in zip(frames, self.frames, strict=True):
+            copy[:] = as_float32(frame)
+        return replace(self, frames=frames)
 
     def subset(self, selection: Array) -> Keyframes:
         """The keyframes at these indices, or where a mask (N,) is True."""
@@ -92,11 +106,11 @@ def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
         shown = [k for k in range(len(head)) if k == 0 or not np.array_equal(head[k], head[k - 1])]
         spacing, _ = motion_spacing(np.stack([coarse(head[k]) for k in shown[:WINDOW]]))
         kept = [(k, head[k], spacing) for k in shown]
-        return _pictures(ChosenFrames.of_groups([kept], len(head)).copied())
+        return _pictures(Keyframes.of_groups([kept], len(head)).copied())
     collector = KeyframeCollector()
     for frame in chain(head, stream):
         collector.add(frame)
-    return _pictures(ChosenFrames.of_groups(collector.groups, collector.length).copied())
+    return _pictures(Keyframes.of_groups(collector.groups, collector.length).copied())
 
 
 def _pictures(keyframes: Keyframes) -> Keyframes:
@@ -108,49 +122,6 @@ def _pictures(keyframes: Keyframes) -> Keyframes:
         numbers = ", ".join(map(str, keyframes.numbers[odd]))
         warn_once(f"frame(s) {numbers} are no pictures like the others and are left out of the estimate")
     return keyframes.subset(~odd) if odd.any() else keyframes
-
-
-@dataclass(frozen=True)
-class ChosenFrames:
-    """Keyframes that are not copied yet.
-
-    Attributes:
-        frames: (h, w) each, as they came.
-        numbers, spacings, length: as in `Keyframes`.
-    """
-
-    frames: Sequence[Array]
-    numbers: Array
-    spacings: Array
-    length: int
-
-    @classmethod
-    def of_groups(cls, groups: Sequence[Sequence[Chosen]], length: int) -> ChosenFrames:
-        """Those of groups; `length`: frames of the recording."""
-        numbers, frames, spacings = zip(*chain.from_iterable(groups), strict=True)
-        return cls(frames, np.array(numbers), np.array(spacings), length)
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """(N, h, w)."""
-        return (len(self.frames), *self.frames[0].shape)
-
-    def values(self) -> Iterator[Array]:
-        """The frames, float32, one by one; NaN where a sample is masked."""
-        for frame in self.frames:
-            yield as_float32(frame)
-
-    def keyframes(self, frames: Array) -> Keyframes:
-        """Keyframes with these values (N, h, w), float32."""
-        eight_bits = self.frames[0].dtype.itemsize == 1
-        return Keyframes(frames, self.numbers, self.spacings, self.length, eight_bits)
-
-    def copied(self) -> Keyframes:
-        """Keyframes with a copy of the frames."""
-        frames = np.empty(self.shape, np.float32)
-        for copy, values in zip(frames, self.values(), strict=True):
-            copy[:] = values
-        return self.keyframes(frames)
 
 
 class KeyframeCollector:

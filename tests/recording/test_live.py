@@ -14,7 +14,7 @@ from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, MIN_QUICK_KEYFRAM
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.sources import stream_raw
 from deepir.recording.estimate import SensorEstimate
-from deepir.recording.keyframes import WINDOW, ChosenFrames
+from deepir.recording.keyframes import WINDOW, Keyframes
 from deepir.recording.segments import Segment
 
 
@@ -44,7 +44,7 @@ def quick_corrector(walk):
 
 
 def chosen(frames):
-    return ChosenFrames.of_groups([[(k, frame, 1) for k, frame in enumerate(frames)]], len(frames))
+    return Keyframes.of_groups([[(k, frame, 1) for k, frame in enumerate(frames)]], len(frames))
 
 
 def left(frames, scenes, walk):
