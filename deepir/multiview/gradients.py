@@ -198,35 +198,52 @@ class WhiteParts:
         self.shape = (2, *(1 if axis in along else side for axis, side in zip((-2, -1), size, strict=True)))
 
     def root(self) -> tuple[float, float, float]:
-        """The triangle of Cholesky of the prior covariance of (pattern at the level, gain)."""
+        """Of the prior the pattern's deviation at the level, the gain in proportion to it, and the gain's deviation."""
         gain, offset = (float(part.sigma) if part else 0.0 for part in self.pair)
         whole = ((self.level * gain) ** 2 + offset**2) ** 0.5
-        return (whole, self.level * gain**2 / whole, gain * offset / whole) if whole else (0.0, 0.0, 0.0)
+        return (whole, self.level * (gain / whole) ** 2, gain * offset / whole) if whole else (0.0, 0.0, 0.0)
 
     def values(self, white: Tensor) -> Tensor:
         """Of gain and level, (2, h or 1, w or 1)."""
         first, second = white.view(self.shape)
-        a, b, c = self.root()
-        return torch.stack((b * first + c * second, a * first))
+        _, shared, own = self.root()
+        level = self._spread(self._amplitude(first) * first)
+        return torch.stack((shared * level + own * second, level))
 
     def adjoint(self, pattern: Tensor) -> Tensor:
         """The adjoint of `values`, as a map (2, h, w)."""
         gain, level = pattern.sum(self.along, keepdim=True) if self.along else pattern
-        a, b, c = self.root()
-        return torch.stack((a * level + b * gain, c * gain)).flatten()
+        _, shared, own = self.root()
+        first = self._amplitude(level) * self._gather(level + shared * gain)
+        return torch.stack((first, own * gain)).flatten()
 
     def whiten(self, values: Tensor) -> Tensor:
         """The inverse of `values`; zero for what has no strength."""
         gain, level = values
-        a, b, c = self.root()
-        first = level / a if a else torch.zeros_like(level)
-        return torch.stack((first, (gain - b * first) / c if c else torch.zeros_like(gain))).flatten()
+        amplitude, (_, shared, own) = self._amplitude(level), self.root()
+        first = torch.where(amplitude > 0, self._gather(level) / amplitude.clamp(min=1e-300), 0)
+        return torch.stack((first, (gain - shared * level) / own if own else torch.zeros_like(gain))).flatten()
 
     def diagonal(self, information: Tensor) -> Tensor:
         """Of the normal matrix, from its blocks for gain and level."""
         aa, ab, bb = information
-        a, b, c = self.root()
-        return 1 + torch.stack((a * a * bb + 2 * a * b * ab + b * b * aa, c * c * aa)).flatten()
+        _, shared, own = self.root()
+        first = self._amplitude(bb).square() * self._edges(bb + 2 * shared * ab + shared**2 * aa)
+        return 1 + torch.stack((first, own**2 * aa)).flatten()
+
+    def _amplitude(self, like: Tensor) -> Tensor:
+        """Standard deviation of each coefficient of the pattern at the level."""
+        return like.new_tensor(self.root()[0])
+
+    def _gather(self, pattern: Tensor) -> Tensor:
+        """Coefficients of the pattern at the level; `_spread` is the inverse and the adjoint of it."""
+        return pattern
+
+    _spread = _gather
+
+    def _edges(self, information: Tensor) -> Tensor:
+        """What edges tell each coefficient, from what they tell each pixel of the pattern at the level."""
+        return information
 
     def bound(self, level: Tensor, unit: float) -> None:
         """Let no strength explain more than twice the pattern (h, w) at the frames' level, a gain that in `unit`.
@@ -280,47 +297,18 @@ class ColouredPixels(WhiteParts):
         #: Power spectrum at each coefficient, in counts squared; None: flat, of the parts' own variance.
         self.power: Tensor | None = None
 
-    def _amplitude(self) -> Tensor:
-        """Standard deviation of each coefficient of the pattern at the level, (h, w)."""
-        if self.power is None:
-            return torch.full_like(self.curvature, super().root()[0])
-        return self.power.sqrt()
+    def _amplitude(self, like: Tensor) -> Tensor:
+        return super()._amplitude(like) if self.power is None else self.power.sqrt()
 
-    def root(self) -> tuple[float, float, float]:
-        """As in `WhiteParts`, but for the amplitude of the pattern at the level, which the spectrum holds."""
-        whole, shared, own = super().root()
-        return (1.0, shared / whole, own) if whole else (0.0, 0.0, 0.0)
+    def _gather(self, pattern: Tensor) -> Tensor:
+        return torch.from_numpy(dctn(pattern.cpu().numpy(), norm="ortho")).to(pattern)
 
-    def values(self, white: Tensor) -> Tensor:
-        """Of gain and level, (2, h, w)."""
-        first, second = white.view(self.shape)
-        pattern = _inverse_cosines(self._amplitude() * first)
-        _, shared, own = self.root()
-        return torch.stack((shared * pattern + own * second, pattern))
+    def _spread(self, coefficients: Tensor) -> Tensor:
+        return torch.from_numpy(idctn(coefficients.cpu().numpy(), norm="ortho")).to(coefficients)
 
-    def adjoint(self, pattern: Tensor) -> Tensor:
-        """The adjoint of `values`."""
-        gain, level = pattern
-        _, shared, own = self.root()
-        first = self._amplitude() * _cosines(level + shared * gain)
-        return torch.stack((first, own * gain)).flatten()
-
-    def whiten(self, values: Tensor) -> Tensor:
-        """The inverse of `values`."""
-        gain, level = values
-        _, shared, own = self.root()
-        amplitude = self._amplitude()
-        first = torch.where(amplitude > 0, _cosines(level) / amplitude.clamp(min=1e-300), 0)
-        second = (gain - shared * level) / own if own else torch.zeros_like(gain)
-        return torch.stack((first, second)).flatten()
-
-    def diagonal(self, information: Tensor) -> Tensor:
-        """Of the normal matrix: each coefficient's curvature under mean weights, each pixel's own for the gain."""
-        aa, ab, bb = information
-        _, shared, own = self.root()
-        edges = float((bb + 2 * shared * ab + shared**2 * aa).mean()) / 4  # a pixel has four edges
-        first = self._amplitude().square() * edges * self.curvature
-        return 1 + torch.stack((first, own**2 * aa)).flatten()
+    def _edges(self, information: Tensor) -> Tensor:
+        """Each coefficient's curvature under mean weights; a pixel has four edges."""
+        return float(information.mean()) / 4 * self.curvature
 
     def update_strengths(self, edges: Edges, pattern: Tensor, values: Tensor) -> None:
         """The gain's share as in `WhiteParts`; then the power spectrum of the pattern at the level.
@@ -333,9 +321,9 @@ class ColouredPixels(WhiteParts):
         weight = float(edges.information(self.along)[2].mean()) / 4
         curvature = self.curvature.clamp(min=1e-12)
         modelled = 1 / (weight * curvature)
-        noise = (_cosines(edges.half_difference(pattern)) * modelled).square()
-        before = self._amplitude().square()
-        unshrunk = (_cosines(values[1]) * (1 + modelled / before.clamp(min=1e-300))).square()
+        noise = (self._gather(edges.half_difference(pattern)) * modelled).square()
+        before = self._amplitude(pattern).square()
+        unshrunk = (self._gather(values[1]) * (1 + modelled / before.clamp(min=1e-300))).square()
         found = self._band_means(unshrunk)
         spoilt = self._band_means(noise).clamp(min=1e-300)
         power = (found - spoilt).clamp(min=MIN_POWER * spoilt)
@@ -365,12 +353,3 @@ class ColouredPixels(WhiteParts):
             share = (place - low).unsqueeze(1 - axis)
             logs = (1 - share) * logs.index_select(axis, low) + share * logs.index_select(axis, high)
         return logs.exp()
-
-
-def _cosines(maps: Tensor) -> Tensor:
-    """The orthonormal cosine transform of a map (h, w)."""
-    return torch.from_numpy(dctn(maps.cpu().numpy(), norm="ortho")).to(maps)
-
-
-def _inverse_cosines(coefficients: Tensor) -> Tensor:
-    return torch.from_numpy(idctn(coefficients.cpu().numpy(), norm="ortho")).to(coefficients)
