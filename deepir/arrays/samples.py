@@ -1,4 +1,4 @@
-"""Samples of frames as float32; the autocorrelation of maps, and their outliers."""
+"""Samples of frames as float32, and over blocks; the autocorrelation of maps, and their outliers."""
 
 from __future__ import annotations
 
@@ -50,6 +50,29 @@ def mixed_deviation(frames: Array) -> float:
     mixed = np.abs(frames[:, 1:, 1:] - frames[:, :-1, 1:] - frames[:, 1:, :-1] + frames[:, :-1, :-1])
     known = mixed[np.isfinite(mixed)]
     return MAD_TO_SIGMA * float(np.median(known)) / 2 if known.size else float("nan")
+
+
+def block_sums(values: Array, block: int) -> Array:
+    """Sums (..., h // block, w // block), float64, of values (..., h, w) over blocks of px, from the first on."""
+    height, width = (side // block for side in values.shape[-2:])
+    cut = values[..., : height * block, : width * block]
+    rows = cut.reshape(*values.shape[:-2], height, block, width * block).sum(-2, dtype=float)
+    return np.asarray(rows.reshape(*rows.shape[:-1], width, block).sum(-1))
+
+
+def block_means(frames: Array, usable: Array, block: int) -> Array:
+    """Means (N, h // block, w // block), float64, of the usable samples of frames (N, h, w) over blocks of px.
+
+    `usable`, bool, says which samples count; where none of a block does, the median of the frame's takes its place.
+    """
+    means = np.empty((len(frames), *(side // block for side in frames.shape[1:])))
+    for mean, frame, good in zip(means, frames, usable, strict=True):
+        with np.errstate(invalid="ignore"):
+            mean[:] = block_sums(np.where(good, frame, 0), block) / block_sums(good, block)
+        empty = np.isnan(mean)
+        if empty.any():
+            mean[empty] = np.median(frame[good]) if good.any() else 0.0
+    return means
 
 
 def pattern_outliers(pattern: Array, known: Array) -> Array:

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.samples import MAD_TO_SIGMA
-from deepir.kernels.block_means import block_means
+from deepir.arrays.samples import MAD_TO_SIGMA, block_means
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled
 

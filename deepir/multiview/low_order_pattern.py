@@ -9,8 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy import ndimage
 
-from deepir.arrays.samples import MAD_TO_SIGMA
-from deepir.kernels.block_means import block_means
+from deepir.arrays.samples import MAD_TO_SIGMA, block_means
 from deepir.kernels.median_filter import median_filter
 from deepir.multiview.texture_flow import RADIUS, Displacement, coarsening, displacements, enlarged, sampled
 

@@ -11,12 +11,11 @@ import torch
 from scipy import ndimage
 from torch import Tensor
 
-from deepir.arrays.samples import pattern_outliers
+from deepir.arrays.samples import block_means, pattern_outliers
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.sensor_maps import Column, GaussianMap, Pixel, Row
 from deepir.fields.shading import Shading
-from deepir.kernels.block_means import block_means
 from deepir.multiview.gradients import ColouredPixels, Edges, WhiteParts
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 from deepir.multiview.pattern_gradients import gradient_consensus, shares

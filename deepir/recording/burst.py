@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.samples import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA, block_sums
 from deepir.errors import DataError
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.alignment import (
@@ -29,7 +29,6 @@ from deepir.recording.defective_pixels import noise_deviation
 from deepir.recording.modes import (
     LowOrderModes,
     NormalEquations,
-    block_sums,
     dct,
     directional_groups,
     group_power,

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from deepir.arrays.samples import MAD_TO_SIGMA, pattern_outliers
+from deepir.arrays.samples import MAD_TO_SIGMA, block_sums, pattern_outliers
 from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
 from deepir.recording.defective_pixels import noise_deviation, of_neighbours
 from deepir.recording.joint_solve import low_order_step
@@ -21,7 +21,6 @@ from deepir.recording.modes import (
     LowOrderModes,
     NormalEquations,
     PatternPrior,
-    block_sums,
     dct,
     idct,
     low_order_equations,

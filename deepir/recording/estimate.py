@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.samples import CHI_SQUARED_MEDIAN
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN, block_means, block_sums
 from deepir.calibration import CorrectionMaps
 from deepir.diagnostics.misfit import MIN_MISFIT, misfit
 from deepir.errors import DataError
 from deepir.io.inspection.samples import saturated_samples
-from deepir.kernels.block_means import block_means
 from deepir.messages import Message
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import coarsening, enlarged
@@ -294,8 +293,7 @@ def _averaged(frames: Array, usable: Array, factor: int) -> tuple[Array, Array]:
     if factor == 1:
         return frames, usable
     means = block_means(frames, usable, factor).astype(np.float32)
-    share = block_means(usable.astype(np.float32), np.ones(usable.shape, bool), factor)
-    return means, np.asarray(share > 0.5)
+    return means, block_sums(usable, factor) > factor**2 / 2
 
 
 def _may_jump(rest: Array, before: Array, noise: float) -> bool:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import fft, ndimage
 
-from deepir.arrays.samples import CHI_SQUARED_MEDIAN
+from deepir.arrays.samples import CHI_SQUARED_MEDIAN, block_sums
 from deepir.recording.alignment import centred, step_gradients, weighted_mean
 
 Array = np.ndarray[Any, Any]
@@ -296,10 +296,3 @@ def low_order_equations(
     matrix -= sums.T @ (sums / total[:, None])  # the scene is eliminated
     score -= sums.T @ (moment / total)
     return NormalEquations((matrix + matrix.T) / 2, score, per_frame, rows, seen)
-
-
-def block_sums(values: Array, block: int) -> Array:
-    """Sums over blocks of (..., H, W), float64."""
-    height, width = (side // block for side in values.shape[-2:])
-    cut = values[..., : height * block, : width * block]
-    return np.asarray(cut.reshape(*values.shape[:-2], height, block, width, block).sum((-3, -1), dtype=float))

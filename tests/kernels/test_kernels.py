@@ -15,11 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from deepir.arrays.samples import block_means
 from deepir.arrays.windows import squared_gradient
 from deepir.closed_form import normal_equations
 from deepir.closed_form.normal_equations import PixelEquations, PixelEquationsCPU
 from deepir.kernels import memory, threads
-from deepir.kernels.block_means import block_means
 from deepir.kernels.compile import parallel_for
 from deepir.kernels.median_filter import median_filter
 from deepir.priors.penalties.tv import TV
