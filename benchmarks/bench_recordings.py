@@ -74,8 +74,7 @@ def main() -> None:
         cells = [(family, name, seed, method) for method in options.methods for name, seed in wanted]
         for ours in DEPENDS_ON:
             some = sorted(
-                (cell for cell in cells if (cell[3] in OURS) == ours),
-                key=lambda cell: wanted.index(cell[1:3]),
+                (cell for cell in cells if (cell[3] in OURS) == ours), key=lambda cell: wanted.index(cell[1:3])
             )  # a recording is made once for all methods
             key = keys[family, ours]
             if options.kept:
@@ -123,10 +122,7 @@ def measure(family: str, name: str, seed: int, method: str) -> Arrays:
     begun, begun_cpu = time.perf_counter(), time.process_time()
     try:
         correction = METHODS[method](case.frames, case.apart)
-        seconds = {
-            "seconds": time.perf_counter() - begun,
-            "CPU seconds": time.process_time() - begun_cpu,
-        }
+        seconds = {"seconds": time.perf_counter() - begun, "CPU seconds": time.process_time() - begun_cpu}
         corrected = np.stack([correction.correct(case.frames[k], int(k)) for k in case.judged])
         figures = seconds | case.judge(corrected.astype(np.float32), correction)
         words = {"status": "done", "kept": correction.kept}

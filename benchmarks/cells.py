@@ -13,8 +13,7 @@ import torch
 from nuc_store import Arrays, finished, kept
 
 Cell = tuple[str | int, ...]
-#: A change of any of these makes other figures.
-EVERYTHING = ("**/*.py", "../configs/**/*.yaml")
+EVERYTHING = ("**/*.py", "../configs/**/*.yaml")  # a change of any of these makes other figures
 
 
 def worked(

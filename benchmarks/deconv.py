@@ -69,17 +69,7 @@ def report(options: argparse.Namespace) -> Iterator[str]:
 def gaussian(pictures: tuple[str, ...], options: argparse.Namespace) -> Iterator[str]:
     """PSNR of the rivals and of deepir's priors with the blur given, and of the first prior without; its width."""
     rivals = ("Richardson-Lucy", "Wiener", "unsupervised Wiener")
-    header = [
-        "picture",
-        "sigma",
-        "frame",
-        *rivals,
-        *PRIORS,
-        "tv less best rival",
-        "tv, blind",
-        "width",
-        "seconds",
-    ]
+    header = ["picture", "sigma", "frame", *rivals, *PRIORS, "tv less best rival", "tv, blind", "width", "seconds"]
     yield f"| {' | '.join(header)} |"
     yield "|---" * len(header) + "|"
     gains, widths = [], []
@@ -138,16 +128,7 @@ def kinds(pictures: tuple[str, ...]) -> Iterator[str]:
 def frame(name: str, camera: Mapping[str, float]) -> Simulation:
     """One frame without a pattern, whose truth is sharp."""
     still = dict.fromkeys(
-        [
-            "gain_pixel",
-            "gain_column",
-            "offset_pixel",
-            "offset_column",
-            "offset_row",
-            "shading",
-            "dead_pixels",
-        ],
-        0.0,
+        ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"], 0.0
     )
     settings = Settings(n_frames=1, shape=(96, 128), sharp=True, read_noise=0.0, **still, **camera)  # type: ignore[arg-type]
     clean = simulate(picture(name), settings, seed=SEED)

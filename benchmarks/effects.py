@@ -163,11 +163,7 @@ def drawn(seed: int) -> tuple[Array, Judge]:
     make = recordings_drawn.drawn().cases(str(recordings_drawn.DATA), seed)[names[7 * seed % len(names)]]
     frames, truth = make()
     used = np.linspace(0, len(frames) - 1, BURST).astype(int)
-    frames, scene, pattern = (
-        frames[used][CROPPED],
-        truth["scene"][used][CROPPED],
-        truth["pattern"][CROPPED[1:]],
-    )
+    frames, scene, pattern = (frames[used][CROPPED], truth["scene"][used][CROPPED], truth["pattern"][CROPPED[1:]])
 
     def judge(result: Any) -> float:
         corrected = frames if result is None else (frames - result.offset) / result.gain

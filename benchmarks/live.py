@@ -46,11 +46,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0, help="of the measurement of the delay")
     parser.add_argument("--only", choices=["delay", "quality", "drive"], help="one part of the report")
     options = parser.parse_args()
-    parts = {
-        "delay": lambda: delay(60 * options.minutes),
-        "quality": lambda: quality(options.plot),
-        "drive": drive,
-    }
+    parts = {"delay": lambda: delay(60 * options.minutes), "quality": lambda: quality(options.plot), "drive": drive}
     chosen = [options.only] if options.only else list(parts)
     write((line for name in chosen for line in parts[name]()), SCRIPT, options.output)
 

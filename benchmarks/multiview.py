@@ -25,13 +25,7 @@ from deepir.simulate.scenes.procedural import load_picture
 
 PICTURES = "coffee,rocket,coins,brick,chelsea,clock,cell,retina,immunohistochemistry,stereo_motorcycle"
 SEEDS = (101, 102, 103)
-OFFSETS = {
-    "offset_pixel": 0.03,
-    "offset_column": 0.02,
-    "offset_row": 0.02,
-    "gain_pixel": 0.0,
-    "gain_column": 0.0,
-}
+OFFSETS = {"offset_pixel": 0.03, "offset_column": 0.02, "offset_row": 0.02, "gain_pixel": 0.0, "gain_column": 0.0}
 #: What is changed of a burst whose sensor has offsets only and no bad pixels.
 BURSTS = {
     "offsets of 3, 2 and 2 %": OFFSETS,
@@ -87,13 +81,7 @@ def report(panels: Path | None) -> Iterator[str]:
 
 def burst(more: dict[str, float | bool], seed: int) -> Simulation:
     """Frames of 160 x 192 px, one of each picture."""
-    settings = {
-        "n_frames": 10,
-        "shape": (160, 192),
-        "shading": 0.0,
-        "dead_pixels": 0.0,
-        "own_scenes": True,
-    } | more
+    settings = {"n_frames": 10, "shape": (160, 192), "shading": 0.0, "dead_pixels": 0.0, "own_scenes": True} | more
     return simulate(load_picture(PICTURES), Settings(**settings), seed=seed)
 
 
@@ -146,14 +134,8 @@ def draw(path: Path, sim: Simulation, result: Result) -> None:
     """A frame, its scene, and the patterns."""
     low, high = np.percentile(sim.truth.scene[0], [0.5, 99.5])
     reach = 3 * float(sim.truth.offset.std())
-    panels = [
-        ("one of ten frames", sim.frames[0], low, high),
-        ("its scene, as found", result.scene[0], low, high),
-    ]
-    panels += [
-        ("pattern, as found", result.offset, -reach, reach),
-        ("true pattern", sim.truth.offset, -reach, reach),
-    ]
+    panels = [("one of ten frames", sim.frames[0], low, high), ("its scene, as found", result.scene[0], low, high)]
+    panels += [("pattern, as found", result.offset, -reach, reach), ("true pattern", sim.truth.offset, -reach, reach)]
     write_panels(path, panels)
 
 

@@ -44,9 +44,7 @@ def main() -> None:
     parser.add_argument("--fresh", action="store_true", help="take no oracle from runs/bench-nuc")
     parser.add_argument("--threads", type=int, default=2, help="the machine's, for the seconds")
     parser.add_argument(
-        "--panels",
-        type=Path,
-        help="write the pictures of docs/explanation/narcissus.md to this folder instead",
+        "--panels", type=Path, help="write the pictures of docs/explanation/narcissus.md to this folder instead"
     )
     parser.add_argument("--output", type=Path, help="write the report to this file too")
     options = parser.parse_args()

@@ -15,8 +15,7 @@ from deepir.simulate import Settings, simulate
 BASE, FRAMES_AT = (160, 192), (256, 320)
 PIXELS = {1: BASE, 2: (226, 272), 4: (320, 384), 8: (452, 544)}  # 2 and 8: to 0.1 %
 FRAMES = {1: 5, 2: 10, 4: 20}
-#: Frames, shape, runs of which the median is taken.
-LARGE = (20, (1024, 1280), 1)
+LARGE = (20, (1024, 1280), 1)  # frames, shape, runs of which the median is taken
 CODE = """
 import sys, numpy, deepir
 from deepir.kernels.memory import peak_memory
@@ -43,10 +42,7 @@ def growth(*, large: bool) -> Iterator[str]:
     by_frames = [found[n, FRAMES_AT] for n in FRAMES.values()]
     yield "\nExponents of growth, fitted to the rows (1: in proportion):\n"
     yield "| with | time | memory |\n|---|---|---|"
-    for name, steps, rows in (
-        ("pixels, 1 to 8 x", PIXELS, by_pixels),
-        ("frames, 1 to 4 x", FRAMES, by_frames),
-    ):
+    for name, steps, rows in (("pixels, 1 to 8 x", PIXELS, by_pixels), ("frames, 1 to 4 x", FRAMES, by_frames)):
         time, memory = (exponent(list(steps), [each[i] for each in rows]) for i in (0, 3))
         yield f"| {name} | {time:.2f} | {memory:.2f} |"
 

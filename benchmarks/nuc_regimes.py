@@ -68,8 +68,7 @@ REGIMES: dict[str, Regime] = {
     "tau 200": Regime(("chelsea", "clock"), UNIT | {"gain_column": 0.05, "gain_pixel": 0.05, "photons": 200.0}),
     "counts": Regime(("stereo_motorcycle", "procedural 43"), {"counts": True, "read_noise": 0.004}),
     "counts, strong offset, rotation": Regime(
-        ("procedural 23", "procedural 44"),
-        COUNTS | {"offset_column": 0.1, "offset_pixel": 0.1, "max_rotation": 3.0},
+        ("procedural 23", "procedural 44"), COUNTS | {"offset_column": 0.1, "offset_pixel": 0.1, "max_rotation": 3.0}
     ),
     # Those above are the ten of version 0.1.0.
     "counts, offsets 40-60": Regime(
@@ -79,8 +78,7 @@ REGIMES: dict[str, Regime] = {
     ),
     "shading": Regime(("rocket", "procedural 50"), UNIT | {"shading": 0.25, "gain_shading": 0.05}, forbidden=FEW),
     "dead pixels 0.5 %": Regime(
-        ("chelsea", "procedural 45"),
-        UNIT | {"dead_pixels": 0.003, "stuck_pixels": 0.001, "noisy_pixels": 0.001},
+        ("chelsea", "procedural 45"), UNIT | {"dead_pixels": 0.003, "stuck_pixels": 0.001, "noisy_pixels": 0.001}
     ),
     "tau 150": Regime(("procedural 21", "immunohistochemistry"), UNIT | {"photons": 150.0}),
     "level drift 2 %": Regime(("coins", "clock"), UNIT | {"level_drift": 0.02}, forbidden=DRIFT),

@@ -18,8 +18,7 @@ from deepir.simulate import Settings, Simulation, Truth, simulate
 
 FOLDER = Path(__file__).parent.parent / "runs" / "bench-nuc"
 PACKAGE = Path(deepir.__file__).parent
-#: A change of these makes other bursts ...
-CAMERA = ("simulate/*.py", "scenes.py", "drawing.py")
+CAMERA = ("simulate/*.py", "scenes.py", "drawing.py")  # A change of these makes other bursts
 #: ... and one of these other averages. (What else an average may depend on is not looked at: see `--fresh`.)
 REGISTRATION = ("registration/*.py", "operators/*.py", "baselines/rival.py")
 

@@ -105,11 +105,7 @@ def measure(run: str, problem: str, what: str, number: int, seed: int) -> Arrays
     more = [f"physics.downsample.factor={number}"] if problem == "sr" else []
     result = deepir.run(problem, *run.split(), *more, frames=sim.frames)
     scene = np.asarray(result.scene, np.float32)
-    return {
-        "psnr": np.array(aligned(scene, sim)),
-        "seconds": np.array(result.metrics["seconds"]),
-        "scene": scene,
-    }
+    return {"psnr": np.array(aligned(scene, sim)), "seconds": np.array(result.metrics["seconds"]), "scene": scene}
 
 
 def simulated(problem: str, what: str, number: int, seed: int) -> Simulation:
@@ -131,10 +127,7 @@ def report(
 
 
 def table(
-    names: Sequence[str],
-    found: dict[tuple[str, ...], Arrays],
-    bursts: Sequence[Burst],
-    columns: dict[int, str],
+    names: Sequence[str], found: dict[tuple[str, ...], Arrays], bursts: Sequence[Burst], columns: dict[int, str]
 ) -> Iterator[str]:
     """A row for each prior."""
     end, helpless = ("over TV", "over own start", "from the average", "s"), []

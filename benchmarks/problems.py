@@ -109,12 +109,7 @@ CASES: dict[str, list[Case]] = {
         Case("procedural 40, 12 ms, 5 frames", only(lag.burst, "procedural 40", 12.0, 5), tau),
     ],
     "multiview_nuc": [
-        Case(
-            label,
-            partial(multiview.burst, multiview.BURSTS[name], multiview.SEEDS[0]),
-            pattern,
-            multiview.quality,
-        )
+        Case(label, partial(multiview.burst, multiview.BURSTS[name], multiview.SEEDS[0]), pattern, multiview.quality)
         for label, name in (
             ("offsets of 3, 2 and 2 %, 5 scenes", "the same, 5 frames"),
             ("counts, gain and offset, 10 scenes", "counts: gain and offset, dead pixels"),
@@ -165,11 +160,7 @@ def cell(problem: str, case: Case, prior: str | None, *, fresh: bool) -> dict[st
         choice = {"prior": prior} if prior else {"method": case.method}
         result = deepir.run(problem, *case.options, "threads=1", frames=sim.frames, **choice)
         found = case.found(result, sim) if prior else ""
-        figures = {
-            "psnr": case.quality(result.scene, sim),
-            "seconds": result.metrics["seconds"],
-            "found": found,
-        }
+        figures = {"psnr": case.quality(result.scene, sim), "seconds": result.metrics["seconds"], "found": found}
         return {name: np.array(each) for name, each in figures.items()}
 
     key = ["problems", problem, case.label, prior, code("**/*.py", "../configs/**/*.yaml")]

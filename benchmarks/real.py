@@ -47,10 +47,7 @@ def a65() -> None:
     corrected = (frames - result.offset) / result.gain
     print(f"A65, {len(frames)} frames of {x1 - x0} x {y1 - y0}: {result.metrics['seconds']} s")
     print(f"  high-pass correlation, frames 0 and 9: {correlation(frames):.3f} raw, {correlation(corrected):.3f} after")
-    kept, motion = (
-        np.delete(frames, HELD_OUT, axis=0),
-        register(torch.from_numpy(frames), model="affine").motion,
-    )
+    kept, motion = (np.delete(frames, HELD_OUT, axis=0), register(torch.from_numpy(frames), model="affine").motion)
     for method in ("average", "joint"):
         error = held_out_error(deepir.run("nuc", frames=kept, method=method, **AFFINE), frames, motion)
         rms, middle = float(np.std(error)), float(1.4826 * np.median(np.abs(error - np.median(error))))

@@ -67,10 +67,7 @@ def cells(protocol: Protocol, group: Group) -> list[Cell]:
             continue
         stem = FOLDER / "bursts" / f"{protocol.key}-{burst}"
         axes = [
-            Axis(
-                "method",
-                {k: [each.replace("STEM", str(stem)) for each in v] for k, v in group.methods.items()},
-            ),
+            Axis("method", {k: [each.replace("STEM", str(stem)) for each in v] for k, v in group.methods.items()}),
             Axis("data.frames", {str(n): [f"data.frames={n}"] for n in group.frames}),
             Axis(BURST_AXIS, {burst: protocol.bursts[burst].written(stem)}),
         ]

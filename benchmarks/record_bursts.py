@@ -28,8 +28,7 @@ class Simulated:
     picture: str
     seed: int
     camera: Mapping[str, Any]
-    #: Settings of the runs on it; STEM stands for the burst's path without its ending.
-    settings: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()  # settings of the runs on it; STEM stands for the burst's path without its ending
 
     @property
     def range(self) -> float:

@@ -22,11 +22,7 @@ from deepir.result import Result
 MISSING = "" if importlib.util.find_spec("deepinv") else "deepinv is not installed"
 WEIGHTS = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # of total variation; the frame is in [0, 1]
 STEPS, INNER = 60, 10  # of FISTA, and of the total variation in each
-CHANNELS, ITERATIONS, RATE = (
-    64,
-    300,
-    1e-2,
-)  # of the decoder; deepinv runs 2,500 unless told, which takes minutes
+CHANNELS, ITERATIONS, RATE = (64, 300, 1e-2)  # of the decoder; deepinv runs 2,500 unless told, which takes minutes
 
 
 @register("method", "deepinv_tv")

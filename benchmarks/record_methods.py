@@ -23,11 +23,7 @@ from deepir.result import Result, neutral
 from deepir.simulate import Settings, Simulation, Truth
 
 #: Methods by name, and what deconv.py calls them.
-PEERS = {
-    "richardson_lucy": "Richardson-Lucy",
-    "wiener": "Wiener",
-    "unsupervised_wiener": "unsupervised Wiener",
-}
+PEERS = {"richardson_lucy": "Richardson-Lucy", "wiener": "Wiener", "unsupervised_wiener": "unsupervised Wiener"}
 DONE = {"iterations": 0, "evaluations": 0, "stop_reason": "converged"}
 
 

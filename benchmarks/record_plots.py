@@ -11,17 +11,7 @@ from record_protocol import ALL, DEFAULT, NETWORKS, PRIORS, TOLD
 from record_tables import QUALITY, Found
 
 MOST = 9  # curves in a picture: the best
-COLOURS = (
-    "tab:blue",
-    "tab:green",
-    "tab:orange",
-    "tab:purple",
-    "tab:brown",
-    "tab:cyan",
-    "0.4",
-    "tab:olive",
-    "k",
-)
+COLOURS = ("tab:blue", "tab:green", "tab:orange", "tab:purple", "tab:brown", "tab:cyan", "0.4", "tab:olive", "k")
 MARKERS = "osD^vP*"
 
 
@@ -100,12 +90,7 @@ def _style(method: str) -> dict[str, Any]:
     known = [*ALL, *PRIORS, *NETWORKS]
     place = known.index(method) if method in known else len(known)
     style = {"color": COLOURS[place % len(COLOURS)], "marker": MARKERS[place % len(MARKERS)]}
-    return style | {
-        "markersize": 4,
-        "linewidth": 1,
-        "capsize": 2,
-        "linestyle": "--" if method in TOLD else "-",
-    }
+    return style | {"markersize": 4, "linewidth": 1, "capsize": 2, "linestyle": "--" if method in TOLD else "-"}
 
 
 def _figure(count: int) -> tuple[Any, list[Any]]:

@@ -9,8 +9,7 @@ from record_bursts import Recorded, Simulated
 from record_deepinv import MISSING
 
 Burst = Simulated | Recorded
-#: What a method is called, and its settings.
-Methods = Mapping[str, tuple[str, ...]]
+Methods = Mapping[str, tuple[str, ...]]  # what a method is called, and its settings
 
 
 @dataclass(frozen=True)
@@ -54,8 +53,7 @@ def looks(
 
 
 DEFAULT = "joint"
-#: Told more than the burst: never a rival's figure.
-TOLD = ("oracle", "flat_field")
+TOLD = ("oracle", "flat_field")  # told more than the burst: never a rival's figure
 STRONG = methods(DEFAULT, "hardie_droege2007", "irlms", "mire", "average", "one_frame")
 WEAK = methods(
     "constant_statistics", "destripe_cnn", "galms", "guided_1d", "hardie2000", "multiview_tv", "multiview_tv_recursive",

@@ -16,13 +16,7 @@ def sharper() -> Protocol:
     bursts: dict[str, Burst] = {}
     groups: list[Group] = []
     for sigma in (1.5, 1.0, 2.0):
-        camera = still | {
-            "n_frames": 1,
-            "shape": (96, 128),
-            "sharp": True,
-            "read_noise": 0.006,
-            "psf_sigma": sigma,
-        }
+        camera = still | {"n_frames": 1, "shape": (96, 128), "sharp": True, "read_noise": 0.006, "psf_sigma": sigma}
         these = {
             f"{name}-{sigma:g}": Simulated(look.picture, look.seed, look.camera)
             for name, look in looks(pictures, camera).items()
@@ -49,12 +43,7 @@ def quieter() -> Protocol:
     still = dict.fromkeys(("gain_pixel", "gain_column", "shading", "dead_pixels", "psf_sigma"), 0.0) | NO_OFFSET
     camera = still | {"n_frames": 1, "shape": (96, 128), "read_noise": 0.05}
     bursts = looks({"coffee": 451, "rocket": 452, "coins": 453, "procedural 60": 454}, camera)
-    known = (
-        "problem=generic",
-        "physics.sensor.gain=1.0",
-        "physics.sensor.offset=0.0",
-        "physics.sensor.level=0.0",
-    )
+    known = ("problem=generic", "physics.sensor.gain=1.0", "physics.sensor.offset=0.0", "physics.sensor.level=0.0")
     peers = methods("one_frame", *([] if MISSING else DEEPINV), more=known[:1])
     return Protocol(
         "denoising",

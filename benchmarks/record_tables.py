@@ -97,10 +97,7 @@ def table(found: Found, n: str) -> Iterator[str]:
     yield "|---" * len(heads) + "|"
     order = _order(found, n, QUALITY if graded else "roughness", down=graded)
     for method in sorted(methods, key=order):
-        cells = [
-            f"**{method}**" if method == DEFAULT else method,
-            str(len(found.values(method, n, "seconds"))),
-        ]
+        cells = [f"**{method}**" if method == DEFAULT else method, str(len(found.values(method, n, "seconds")))]
         cells += [spread(found.values(method, n, QUALITY))] if graded else []
         for _, metric, factor, decimals in shown:
             value = found.median(method, n, metric) * (100 / found.range() if factor is None else factor)

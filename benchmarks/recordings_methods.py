@@ -75,10 +75,7 @@ def _run(problem: str, frames: Array, used: list[int]) -> Correction:
     maps = CorrectionMaps(result.gain, result.offset, result.bad_pixels)
     deviation = getattr(result, "offset_deviation", None)
     return Correction(
-        lambda frame, number: maps.correct(frame),
-        result.bad_pixels,
-        deviation,
-        maps=(result.gain, result.offset),
+        lambda frame, number: maps.correct(frame), result.bad_pixels, deviation, maps=(result.gain, result.offset)
     )
 
 

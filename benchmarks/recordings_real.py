@@ -14,16 +14,7 @@ import numpy as np
 from nuc_store import kept
 from recordings_cases import APART, DATA, Case, absent
 from recordings_methods import Correction
-from recordings_scores import (
-    Figures,
-    alike,
-    bad_pixels,
-    covered,
-    held_out,
-    left_over,
-    mean_error,
-    taken_off,
-)
+from recordings_scores import Figures, alike, bad_pixels, covered, held_out, left_over, mean_error, taken_off
 
 import deepir
 

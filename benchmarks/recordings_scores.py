@@ -93,11 +93,7 @@ def taken_off(frames: Array, corrected: Array) -> Figures:
     pattern = np.mean([a.astype(float) - b for a, b in zip(frames, corrected, strict=True)], 0)
     scene = float(np.median([each.std() for each in frames]))
     low, fine = (float(part.std()) / scene for part in parts(pattern - pattern.mean()))
-    return {
-        "low": low,
-        "fine": fine,
-        "unevenness": unevenness(pattern) if pattern.std() > 0 else float("nan"),
-    }
+    return {"low": low, "fine": fine, "unevenness": unevenness(pattern) if pattern.std() > 0 else float("nan")}
 
 
 def held_out(frames: Array, maps: tuple[Array | float, Array] | None) -> Figures:

@@ -11,13 +11,7 @@ from recordings_cases import APART, Case
 from recordings_methods import Correction
 from recordings_scores import Figures, bad_pixels, covered, left_over, likeness
 
-from deepir.simulate.recording import (
-    Recording,
-    RecordingSettings,
-    RecordingTruth,
-    residual_map,
-    simulate_recording,
-)
+from deepir.simulate.recording import Recording, RecordingSettings, RecordingTruth, residual_map, simulate_recording
 
 FAMILIES = ("simulated",)
 CODE = ("recordings_simulated.py", "../deepir/simulate/**/*.py")

@@ -37,19 +37,7 @@ KEYS = ("data.frames=0:2", "data.crop=[0,16,0,16]", "prior=tv", "seed=3", "physi
         "noise.read=2", "solver.max_iterations=3", "threads=1", "data.raw={width: 10, height: 8}",
         "effects={shading: false}")  # fmt: skip
 #: What a number in a text is replaced by.
-NUMBERS = (
-    b"0",
-    b"-1",
-    b"1",
-    b"65536",
-    b"4294967295",
-    b"99999999999999999999",
-    b"1e400",
-    b"nan",
-    b"",
-    b"[1,2]",
-    b"*a",
-)
+NUMBERS = (b"0", b"-1", b"1", b"65536", b"4294967295", b"99999999999999999999", b"1e400", b"nan", b"", b"[1,2]", b"*a")
 Files = dict[str, bytes]
 
 
@@ -117,10 +105,7 @@ def _plain_pgm(path: Path, frames: Any) -> None:
 def _y16(path: Path, frames: Any) -> None:
     recordings.film(path, frames, "rawvideo", "gray16le")
     content = bytearray(path.read_bytes())
-    for at in (
-        content.index(b"vids") + 4,
-        content.index(b"strf") + 8 + 16,
-    ):  # of the track, and of its pictures
+    for at in (content.index(b"vids") + 4, content.index(b"strf") + 8 + 16):  # of the track, and of its pictures
         content[at : at + 4] = b"Y16 "
     path.write_bytes(content)
 

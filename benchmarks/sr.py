@@ -60,11 +60,7 @@ def report(options: argparse.Namespace) -> Iterator[str]:
         best = float(kept("sr-oracles", key, make, fresh=options.fresh)["psnr"])
         found = {
             method: deepir.run(
-                "sr",
-                f"physics.downsample.factor={factor}",
-                frames=sim.frames,
-                method=method,
-                prior=options.prior,
+                "sr", f"physics.downsample.factor={factor}", frames=sim.frames, method=method, prior=options.prior
             )
             for method in ("bicubic", "average", "joint")
         }

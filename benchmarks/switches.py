@@ -75,10 +75,7 @@ def measure(run: str, name: str, seed: int) -> Arrays:
     camera = CLEAN | UNIT | NO_OFFSET | {"gain_column": 0.1, "gain_pixel": 0.02}
     sim = simulate(picture(name), Settings(n_frames=5, shape=(64, 80), max_shift=6.0, **camera), seed=seed)
     result = deepir.run("nuc", "prior=dip", run, f"seed={seed}", frames=sim.frames)
-    return {
-        "psnr": np.array(aligned(result.scene, sim)),
-        "seconds": np.array(result.metrics["seconds"]),
-    }
+    return {"psnr": np.array(aligned(result.scene, sim)), "seconds": np.array(result.metrics["seconds"])}
 
 
 class Plain(Skip):

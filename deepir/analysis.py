@@ -17,14 +17,12 @@ CORRELATION_LENGTH_LEVEL = 0.1
 #: Temporal autocorrelation down to which a pattern is unchanged; Saragadam et al. 2021.
 STABILITY_LEVEL = 0.8
 MIN_REPORTED_SHARE = 0.05  # share of the pattern's variance from which a component is reported
-#: Range of the motion along an axis below which lines and scene cannot be separated well, px.
-MIN_MOTION_SPAN = 3.0
+MIN_MOTION_SPAN = 3.0  # range of the motion along an axis below which lines and scene cannot be separated well, px
 MIN_LATERAL_MOTION = 1.5  # px across a line; a burst that moves less across a line moves along that line only
 MIN_INDEPENDENT_LOOKS = 3.0  # independent views of the pattern that a burst needs
 UNCERTAIN_PIXEL_RATIO = 1.5  # scene deviation over its median from which a pixel is weakly determined
 MIN_PHASES = 0.9  # share of the sub-pixel phases that super-resolution needs
-#: Fewest and most frames; fewer cost over 1 dB, more are seldom worth their time.
-RECOMMENDED_FRAMES = (5, 20)
+RECOMMENDED_FRAMES = (5, 20)  # fewest and most frames; fewer cost over 1 dB, more are seldom worth their time
 MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at which the motion is evaluated
 
 
@@ -84,12 +82,7 @@ def map_statistics(pattern: Array, good: Array | None = None, repeat: Array | No
     )
     shading = max(0.0, 1 - without_shading / total) if total > 0 else 0.0
     return PatternStatistics(
-        np.where(good, pattern - level, 0),
-        correlation,
-        lengths,
-        columns * (1 - shading),
-        rows * (1 - shading),
-        shading,
+        np.where(good, pattern - level, 0), correlation, lengths, columns * (1 - shading), rows * (1 - shading), shading
     )
 
 
@@ -257,9 +250,7 @@ def _frame_count_flags(assessment: BurstAssessment, n: int) -> list[str]:
 
 
 def report_lines(
-    statistics: PatternStatistics,
-    assessment: BurstAssessment | None = None,
-    scene_deviation: Array | None = None,
+    statistics: PatternStatistics, assessment: BurstAssessment | None = None, scene_deviation: Array | None = None
 ) -> list[str]:
     """The result in lines: needed motion and frames, stability of the pattern, whether the burst suffices.
 
@@ -268,11 +259,7 @@ def report_lines(
         assessment: Of the burst, if there is one.
         scene_deviation: (H, W), standard deviation of the scene, if it is known.
     """
-    lines = [
-        *_pattern_lines(statistics),
-        _stability_line(statistics),
-        _frame_count_line(statistics.stable_frames),
-    ]
+    lines = [*_pattern_lines(statistics), _stability_line(statistics), _frame_count_line(statistics.stable_frames)]
     return lines if assessment is None else lines + _burst_lines(assessment, scene_deviation)
 
 

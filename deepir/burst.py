@@ -36,8 +36,7 @@ from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.messages import Message
 
 Array = np.ndarray[Any, Any]
-#: The scene that is known, or arrays by name.
-Truth = Array | Mapping[str, Any]
+Truth = Array | Mapping[str, Any]  # the scene that is known, or arrays by name
 BAND_TRUTH = ("scene", "gain", "offset")  # arrays of a truth that each band has for itself
 PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame
 

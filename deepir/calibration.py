@@ -19,8 +19,7 @@ from deepir.io.readers.numpy_arrays import read_npz
 
 MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad
 MAX_BAD_SHARE = 0.5  # share of deviating pixels from which the recordings are not flat
-#: Share of pixels at an end of the range from which the surface is too cold or too hot.
-MAX_SATURATED_SHARE = 0.25
+MAX_SATURATED_SHARE = 0.25  # share of pixels at an end of the range from which the surface is too cold or too hot
 Array = np.ndarray[Any, Any]
 
 

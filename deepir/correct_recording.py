@@ -62,14 +62,7 @@ def correct(
         DataError: It cannot be read, has few frames, or the camera stands still.
         ConfigError: An option is wrong.
     """
-    options = {
-        "key": key,
-        "raw": raw,
-        "axes": axes,
-        "crop": crop,
-        "swap_bytes": swap_bytes,
-        "radiometry": radiometry,
-    }
+    options = {"key": key, "raw": raw, "axes": axes, "crop": crop, "swap_bytes": swap_bytes, "radiometry": radiometry}
     given = {name: value for name, value in options.items() if value is not None}
     data = Data(**validate(Data, given, "correct"))
     if isinstance(recording, np.ndarray):

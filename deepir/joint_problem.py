@@ -174,8 +174,7 @@ class JointProblem(nn.Module):
         return list(found.values())
 
 
-#: A problem of one data set, or of several.
-AnyProblem = Problem | JointProblem
+AnyProblem = Problem | JointProblem  # a problem of one data set, or of several
 
 
 def _sensor_fields(problem: Problem) -> tuple[Field, ...]:

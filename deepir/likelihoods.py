@@ -14,10 +14,8 @@ from deepir.closed_form.normal_equations import weighted_least_squares
 from deepir.fields.base import check_positive
 from deepir.registry import register
 
-#: Fraction of negative samples from which data cannot be photon counts.
-MAX_NEGATIVE_FRACTION = 0.1
-#: Residual at which a sample has half its weight (Cauchy weights), noise standard deviations.
-CAUCHY_SCALE = 5.0
+MAX_NEGATIVE_FRACTION = 0.1  # fraction of negative samples from which data cannot be photon counts
+CAUCHY_SCALE = 5.0  # residual at which a sample has half its weight (Cauchy weights), noise standard deviations
 
 
 class Fidelity(nn.Module):
@@ -26,8 +24,7 @@ class Fidelity(nn.Module):
     `precision` is the inverse variance of a sample; zero where it does not count and may hold anything finite.
     """
 
-    #: Whether it is a sum of squares, as a closed form needs.
-    quadratic = False
+    quadratic = False  # whether it is a sum of squares, as a closed form needs
 
     def check_data(self, data: Tensor, usable: Tensor) -> None:
         """Raise `ValueError` for usable data that cannot have this noise."""

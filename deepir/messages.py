@@ -94,10 +94,7 @@ WARNINGS = {
         "Some frames are less sharp than others, by autofocus or by fast motion.",
         "Leave them out with `data.frames`, or model each frame's blur with `per_frame` of operator `blur`.",
     ),
-    "frames-bend": (
-        "The camera zooms or tilts, or has a wide lens.",
-        "Set `physics.warp.motion.type=auto`.",
-    ),
+    "frames-bend": ("The camera zooms or tilts, or has a wide lens.", "Set `physics.warp.motion.type=auto`."),
     "parallax": (
         "Near and far parts of the scene move by different amounts, which one motion of the frame does not follow.",
         "Use `deepir run flow`.",
@@ -209,10 +206,7 @@ NOTES = {
         "Something moves by itself, and is left out of the estimate. Of a burst, `moving` in `result.npz` shows it.",
         "Nothing, unless it covers a place in most frames. Then mask it with `data.mask`.",
     ),
-    "line-noise": (
-        "Whole rows or columns jump from frame to frame. The jumps are estimated and removed.",
-        "Nothing.",
-    ),
+    "line-noise": ("Whole rows or columns jump from frame to frame. The jumps are estimated and removed.", "Nothing."),
     "response-drift": (
         "The response of the camera changes from frame to frame. It is estimated and evened out.",
         "Nothing. Let the camera warm up before you measure.",

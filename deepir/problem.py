@@ -275,11 +275,7 @@ class Problem(nn.Module):
         return self.sensor_misfit(values, flux, precision, found.log_det_gradient())
 
     def sensor_misfit(
-        self,
-        values: Values,
-        flux: Tensor,
-        precision: Tensor,
-        log_det: tuple[Tensor, Tensor, Tensor] | None = None,
+        self, values: Values, flux: Tensor, precision: Tensor, log_det: tuple[Tensor, Tensor, Tensor] | None = None
     ) -> Tensor:
         """The same given the flux on a sensor that is the last stage; see `sensor_least_squares` for `log_det`."""
         name, last = self.operator.named()[-1]
@@ -346,12 +342,7 @@ class Problem(nn.Module):
 
     @torch.no_grad()
     def solved(
-        self,
-        values: Values,
-        group: Collection[str],
-        *,
-        flux: Tensor | None = None,
-        precision: Tensor | None = None,
+        self, values: Values, group: Collection[str], *, flux: Tensor | None = None, precision: Tensor | None = None
     ) -> Elimination:
         """Posterior of gain and offset given the others; `values` is updated to the optimum of those in `group`.
 

@@ -32,8 +32,7 @@ class Stage:
     iterations: int = 100
     prepare: Callable[[Any], None] | None = None
     use_held_out: bool = False
-    #: What is slow of the scene stays as it was found; see `deepir.optim.preconditioner`.
-    fine: bool = False
+    fine: bool = False  # what is slow of the scene stays as it was found; see `deepir.optim.preconditioner`
     tolerance: float = 1e-5  # stop when ten iterations gain less than this, in nats for each sample
     #: Asked when the stage comes, before all else: it is left out if there is no need.
     needed: Callable[[Any], bool] | None = None

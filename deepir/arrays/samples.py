@@ -8,11 +8,9 @@ import numpy as np
 from scipy import fft
 
 Array = np.ndarray[Any, Any]
-#: Standard deviation of a Gaussian, per median absolute deviation.
-MAD_TO_SIGMA = 1.4826
+MAD_TO_SIGMA = 1.4826  # standard deviation of a Gaussian, per median absolute deviation
 CHI_SQUARED_MEDIAN = MAD_TO_SIGMA**-2  # of one degree of freedom
-#: Largest lag along an axis, px.
-MAX_LAG = 50
+MAX_LAG = 50  # largest lag along an axis, px
 OUTLIER_DEVIATION = 7.0  # robust standard deviations of the pattern: beyond, a pixel is no part of it
 ISOLATION = 4.0  # ratio of a defective pixel's residual to its neighbourhood's
 

@@ -11,18 +11,12 @@ from torch import Tensor
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels.threads import is_compiled
 
-#: Samples of a frame that suffice for a median or a mean.
-MAX_SAMPLES_PER_FRAME = 40_000
-#: Side of the windows whose medians are compared, px.
-NOISE_WINDOW = 15
-#: Quantile of the windows' medians that is taken for the noise.
-FLAT_WINDOW_QUANTILE = 0.1
-#: That quantile in windows of pure noise, relative to the median of the noise.
-FLAT_WINDOW_BIAS = 0.885
-#: Samples of a frame that suffice for the step between its values.
-MAX_SAMPLES_FOR_QUANTISATION = 5000
-#: Standard deviation of a rounding error, in quantisation steps.
-ROUNDING_SIGMA = 12**-0.5
+MAX_SAMPLES_PER_FRAME = 40_000  # samples of a frame that suffice for a median or a mean
+NOISE_WINDOW = 15  # side of the windows whose medians are compared, px
+FLAT_WINDOW_QUANTILE = 0.1  # quantile of the windows' medians that is taken for the noise
+FLAT_WINDOW_BIAS = 0.885  # that quantile in windows of pure noise, relative to the median of the noise
+MAX_SAMPLES_FOR_QUANTISATION = 5000  # samples of a frame that suffice for the step between its values
+ROUNDING_SIGMA = 12**-0.5  # standard deviation of a rounding error, in quantisation steps
 
 
 def median(values: Tensor) -> float:

@@ -6,8 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-#: Side of a neighbourhood, px.
-DEFAULT_WINDOW = 5
+DEFAULT_WINDOW = 5  # side of a neighbourhood, px
 
 
 def squared_gradient(value: Tensor) -> Tensor:

@@ -31,8 +31,7 @@ OF_THE_PAGE = ("port", "host", "record_to")  # options of `live`
 def capture(
     out: Annotated[Path, typer.Argument(metavar="OUT.npz", help="The burst.")],
     settings: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="KEY=VALUE", help="Driver settings, for example device=/dev/video2"),
+        list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Driver settings, for example device=/dev/video2")
     ] = None,
     camera: Annotated[str, typer.Option(help="Driver of the camera: v4l2, boson.")] = "v4l2",
     frames: Annotated[int, typer.Option(min=1, max=1000, help="Number of frames.")] = 10,

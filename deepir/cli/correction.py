@@ -32,8 +32,7 @@ from deepir.report.recording import write_recording_report
 
 LISTS = (".txt", ".lst", ".csv")  # endings of a file that names recordings, one a line
 CORRECTED, REFUSED, FAILED = "corrected", "refused", "failed"
-#: Exit statuses, the gravest last.
-EXIT = {CORRECTED: 0, REFUSED: 2, FAILED: 1}
+EXIT = {CORRECTED: 0, REFUSED: 2, FAILED: 1}  # exit statuses, the gravest last
 
 
 def correct_file(

@@ -65,10 +65,7 @@ def correct(
     maps, picture, page = (target.with_name(f"{target.stem}{end}") for end in ("_maps.npz", ".png", ".html"))
     known = maps.exists()
     try:
-        with (
-            Interruptible(),
-            held_outputs(target, maps, picture, page, overwrite=overwrite, source=config.data.path),
-        ):
+        with Interruptible(), held_outputs(target, maps, picture, page, overwrite=overwrite, source=config.data.path):
             from deepir.cli.correction import correct_file
 
             correct_file(config, target, maps, picture, page, rounded=not float32)

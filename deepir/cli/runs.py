@@ -166,8 +166,7 @@ def batch(
     what: Annotated[
         list[str],
         typer.Argument(
-            metavar="BURST|KEY=VALUE",
-            help="Files, folders of pictures or globs of these; settings for all of them.",
+            metavar="BURST|KEY=VALUE", help="Files, folders of pictures or globs of these; settings for all of them."
         ),
     ],
     workers: Workers = None,
@@ -279,8 +278,7 @@ def _report(rows: Sequence[Row], where: Path, *, paper: bool) -> None:
 def train(
     name: Annotated[str, typer.Argument(metavar="NAME", help="What to train: see `deepir list`.")],
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.safetensors", help="File of the weights; default: NAME.safetensors."),
+        Path | None, typer.Option(metavar="FILE.safetensors", help="File of the weights; default: NAME.safetensors.")
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of initial weights and training samples.")] = 0,
     iterations: Annotated[

@@ -11,15 +11,12 @@ from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.kernels import run
 from deepir.kernels.threads import is_compiled
 
-#: Relative residual at which conjugate gradients stop.
-TOLERANCE = 1e-12
-#: Most iterations of conjugate gradients.
-MAX_ITERATIONS = 200
+TOLERANCE = 1e-12  # relative residual at which conjugate gradients stop
+MAX_ITERATIONS = 200  # most iterations of conjugate gradients
 #: Prior standard deviation of lines relative to that of pixels up to which the system is stored in float32: its
 #: condition number grows with the square, and the rounding error is then some 1e-5 of the standard deviation.
 MAX_LINE_SIGMA_RATIO = 30
-#: Relative residual at which conjugate gradients stop if the system is in float32.
-FLOAT32_TOLERANCE = 1e-9
+FLOAT32_TOLERANCE = 1e-9  # relative residual at which conjugate gradients stop if the system is in float32
 
 
 def weighted_least_squares(prediction: Tensor, data: Tensor, precision: Tensor) -> Tensor:
@@ -153,14 +150,7 @@ class PixelEquations:
     log_det: Tensor
 
     def __init__(
-        self,
-        flux: Tensor,
-        data: Tensor,
-        precision: Tensor,
-        level: Tensor,
-        neutral: float,
-        sigma: Tensor,
-        lines: Tensor,
+        self, flux: Tensor, data: Tensor, precision: Tensor, level: Tensor, neutral: float, sigma: Tensor, lines: Tensor
     ) -> None:
         self.sigma, self.dtype = sigma, flux.dtype
         self.rounded = flux.dtype == torch.float32 and bool((lines <= MAX_LINE_SIGMA_RATIO * sigma).all())

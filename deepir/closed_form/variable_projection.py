@@ -24,8 +24,7 @@ from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.kernels.threads import is_compiled
 
-#: Kind of a part: the axes along which it is constant; None for shading.
-Kind = tuple[int, ...] | None
+Kind = tuple[int, ...] | None  # kind of a part: the axes along which it is constant; None for shading
 KINDS = PIXEL, COLUMN, ROW, SHADING = (), (-2,), (-1,), None
 
 

@@ -21,13 +21,7 @@ CONTEXT_ARGUMENTS = frozenset(
     | {"problem", "group", "evaluate"}
 )
 #: How messages describe a value of a type.
-TYPE_DESCRIPTIONS = {
-    int: "a whole number",
-    float: "a number",
-    str: "text",
-    bool: "true or false",
-    type(None): "null",
-}
+TYPE_DESCRIPTIONS = {int: "a whole number", float: "a number", str: "text", bool: "true or false", type(None): "null"}
 #: Names that pydantic gives to the branches of a union of scalars.
 SCALAR_TYPE_NAMES = frozenset(kind.__name__ for kind in TYPE_DESCRIPTIONS)
 #: How messages describe the elements of a list.

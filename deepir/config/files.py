@@ -29,9 +29,7 @@ REFERENCE_PATTERN = re.compile(r"\$\{\.*\w+(\.\w+)*\}")
 
 
 def load(
-    config: str | Path | Mapping[str, Any],
-    changes: Sequence[str] = (),
-    options: Mapping[str, Any] | None = None,
+    config: str | Path | Mapping[str, Any], changes: Sequence[str] = (), options: Mapping[str, Any] | None = None
 ) -> Config:
     """Load a configuration from a path, a shipped name (`nuc`) or a mapping.
 
@@ -178,8 +176,7 @@ def _check(whole: Mapping[str, Any], label: str, changes: Sequence[str] = ()) ->
     except ValidationError as error:
         path, problem = explain(error, Config, whole)
         own = next(
-            (f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")),
-            label,
+            (f"'{each}'" for each in reversed(changes) if f"{path}.".startswith(f"{each.split('=')[0]}.")), label
         )
         raise ConfigError(f"{own}: {problem}") from None
 

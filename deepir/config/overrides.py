@@ -13,12 +13,10 @@ from pydantic import BaseModel
 from deepir.config.components import annotation_of
 from deepir.errors import ConfigError, nearest
 
-#: Scalars by YAML 1.2: decimal integers, numbers, booleans.
-INTEGER_PATTERN = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
+INTEGER_PATTERN = re.compile(r"[-+]?(0|[1-9][0-9]*)$")  # scalars by YAML 1.2: decimal integers, numbers, booleans
 NUMBER_PATTERN = re.compile(r"[-+]?((\d+\.\d*|\.\d+)([eE][-+]?\d+)?|\d+[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$")
 BOOLEAN_PATTERN = re.compile(r"(true|True|TRUE|false|False|FALSE)$")
-#: Tags of YAML 1.1 that `_Loader` drops or replaces.
-REPLACED_TAGS = ("int", "float", "bool", "timestamp")
+REPLACED_TAGS = ("int", "float", "bool", "timestamp")  # tags of YAML 1.1 that `_Loader` drops or replaces
 MAX_CHARACTERS = 100_000  # length of a YAML text
 MAX_VALUES = 10_000  # values of a YAML text, aliases expanded
 MAX_DEPTH = 30  # levels of nesting

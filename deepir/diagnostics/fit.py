@@ -24,23 +24,18 @@ from deepir.registration.motion_search import search_level
 from deepir.registration.preprocess import preprocess
 from deepir.registration.robust_score import log_likelihood_ratio
 
-#: Nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong.
-MIN_MOTION_NATS = 0.3
+MIN_MOTION_NATS = 0.3  # nats by which the motion makes each sample likelier than rest; 0.1 at most where it was wrong
 #: The same before a scene that repeats itself: if all frames register, and if fewer than a share do, since frames of
 #: another phase of the period are then left out, and the others rest.
 MIN_NATS_PERIODIC, MIN_NATS_PERIODIC_FEW, MIN_REGISTERED = 0.5, 1.2, 0.7
-#: Pairs of frames whose differences show a period, at most.
-MAX_PAIRS = 4
+MAX_PAIRS = 4  # pairs of frames whose differences show a period, at most
 #: Share of the autocorrelation one px from zero, where noise is no more, that it reaches at a period.
 MIN_REPETITION = 0.8
-#: The same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above.
-MAX_BETWEEN = 0.5
-#: Distance of the peak of a repetition over that of its nearest sample, at most.
-PEAK_REACH = 1.5
+MAX_BETWEEN = 0.5  # the same share, below which it falls on the way to the period; smooth scenes, as clouds, stay above
+PEAK_REACH = 1.5  # distance of the peak of a repetition over that of its nearest sample, at most
 #: Distance at which pixels of the pattern are compared, px: noise in the motion and interpolation reach one.
 PATTERN_DISTANCE = 2
-#: Robust standard deviations of the pattern at which its values are cut off.
-PATTERN_CLIP_SIGMAS = 4.0
+PATTERN_CLIP_SIGMAS = 4.0  # robust standard deviations of the pattern at which its values are cut off
 #: Correlation of pixels so far apart from which a pattern is a picture; those that were found right have 0.08 at most.
 MIN_PATTERN_CORRELATION = 0.1
 #: Least pattern, relative to the scene: less may be of a sensor that was corrected with a scene in view.

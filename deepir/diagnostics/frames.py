@@ -12,12 +12,9 @@ from deepir.messages import Message
 
 #: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
 MAX_DISTANCE_FROM_UNIFORM = 0.01
-#: Samples of all frames that suffice to find a shutter event.
-MAX_SAMPLES = 40_000
-#: Fewest samples of a frame.
-MIN_SAMPLES_PER_FRAME = 200
-#: Fraction of the smallest differences that count: the others are edges of the scene.
-BULK_FRACTION = 0.75
+MAX_SAMPLES = 40_000  # samples of all frames that suffice to find a shutter event
+MIN_SAMPLES_PER_FRAME = 200  # fewest samples of a frame
+BULK_FRACTION = 0.75  # fraction of the smallest differences that count: the others are edges of the scene
 #: Distance between two groups of frames relative to that within them from which their patterns differ.
 MIN_SEPARATION = 1.3
 

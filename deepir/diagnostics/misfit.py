@@ -18,10 +18,8 @@ from deepir.messages import Message
 
 Array = np.ndarray[Any, Any]
 
-#: Evidence from which a cause of a misfit is named, nats a sample; without one it is 0.006 at most.
-MIN_MISFIT = 0.012
-#: Residual at which samples are clipped, noise standard deviations.
-RESIDUAL_CLIP_SIGMAS = 3.0
+MIN_MISFIT = 0.012  # evidence from which a cause of a misfit is named, nats a sample; without one it is 0.006 at most
+RESIDUAL_CLIP_SIGMAS = 3.0  # residual at which samples are clipped, noise standard deviations
 #: Cells along each side of a frame, and bands of rows, of what changes smoothly over it.
 CELLS, BANDS = 6, 24
 COLUMNS = 160  # of wider frames, about as many are enough

@@ -20,8 +20,7 @@ from deepir.schedule import Schedule
 
 #: Degree of the low-order part of a frame, which shading has too, and of a block.
 FRAME_DEGREE, BLOCK_DEGREE = 4, 2
-#: Ratio of an AGC frame's gain to the mean, either way, at most.
-MAX_CONTRAST = 3.0
+MAX_CONTRAST = 3.0  # ratio of an AGC frame's gain to the mean, either way, at most
 #: Least deviation of such gains that the initial estimate corrects, and largest that is called equal after a round.
 START_CONTRAST, EQUAL_CONTRAST = 0.02, 0.002
 #: Deviation of gains that is reported: of AGC frames, of others.
@@ -31,19 +30,15 @@ GRID, MAX_SAMPLES = 3, 40_000
 #: Standard errors by which the blocks' gains differ from frame to frame if the response drifts. A camera that does not
 #: drift has 5.6 at most, mostly 1 to 3.
 MIN_DEVIATION = 6.0
-#: The same, where the frames' levels say so, too.
-MIN_AGREED_DEVIATION = 2.0
-#: Relative change of the gain that is a drift.
-MIN_DRIFT = 2e-4
-#: Effective number of blocks, less one.
-MIN_BLOCKS = 2
+MIN_AGREED_DEVIATION = 2.0  # the same, where the frames' levels say so, too
+MIN_DRIFT = 2e-4  # relative change of the gain that is a drift
+MIN_BLOCKS = 2  # effective number of blocks, less one
 #: Relative deviation of a frame's level and contrast, and of its contrast alone, from which frames have exposures of
 #: their own: a strong pattern that is not found yet makes contrasts differ by 0.04.
 MIN_EXPOSURE, MIN_CONTRAST = 0.03, 0.1
 #: Difference of exposures by level and by contrast, over their deviation from one, up to which they agree.
 MAX_DISAGREEMENT = 0.5
-#: Relative change of exposures that ends the turns.
-EXPOSURE_TOLERANCE = 1e-4
+EXPOSURE_TOLERANCE = 1e-4  # relative change of exposures that ends the turns
 
 
 @register("effect", "frame_gain")

@@ -18,10 +18,8 @@ from deepir.registry import register
 
 #: Level of a frame, in standard deviations of a sample's noise, that is reported as a drift: 0.1 where all is modelled.
 REPORTED_DRIFT = 0.25
-#: The same, in standard deviations of the mean of lines that jump independently.
-CHANCE_DRIFT = 4.0
-#: Level, in standard deviations of what the average leaves, that the initial estimate corrects.
-START_LEVEL = 2.0
+CHANCE_DRIFT = 4.0  # the same, in standard deviations of the mean of lines that jump independently
+START_LEVEL = 2.0  # level, in standard deviations of what the average leaves, that the initial estimate corrects
 
 
 @torch.no_grad()

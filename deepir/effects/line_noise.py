@@ -18,14 +18,10 @@ from deepir.problem import Problem
 from deepir.registry import register
 from deepir.schedule import Schedule, Step
 
-#: A scene and a pattern explain any two values of a line.
-MIN_FRAMES = 3
-#: Variance of lines' means to that of the difference of their halves, if lines jump.
-MIN_VARIANCE_RATIO = 3.0
-#: For shorter lines, px, that ratio grows with the square: one edge of the scene lies in both halves.
-LONG_LINE = 80
-#: Standard deviation of jumps that matter, in those of a sample's noise.
-MIN_JUMP = 0.1
+MIN_FRAMES = 3  # a scene and a pattern explain any two values of a line
+MIN_VARIANCE_RATIO = 3.0  # variance of lines' means to that of the difference of their halves, if lines jump
+LONG_LINE = 80  # for shorter lines, px, that ratio grows with the square: one edge of the scene lies in both halves
+MIN_JUMP = 0.1  # standard deviation of jumps that matter, in those of a sample's noise
 
 
 @torch.no_grad()

@@ -42,8 +42,7 @@ MINORITY_SHARE = 1 / 3  # of a place's frames, from which votes are taken first
 MIN_SAMPLES = 5  # for the brightness of a window
 MAX_TURNS = 30
 
-#: A box of frames (N, H, W), and which places of it a region has.
-Region = tuple[tuple[slice, ...], Tensor]
+Region = tuple[tuple[slice, ...], Tensor]  # a box of frames (N, H, W), and which places of it a region has
 
 
 @torch.no_grad()

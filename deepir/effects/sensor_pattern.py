@@ -20,30 +20,22 @@ from deepir.arrays.samples import pattern_outliers
 from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.effect import Effect, InitialEstimate
 from deepir.estimation.residuals import line_noise_fields, temporal_mean
-from deepir.estimation.variance_components import (
-    MAX_SIGMA_RATIO,
-    estimate_sigmas,
-    high_pass,
-    reference_level_nats,
-)
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass, reference_level_nats
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.operators import Sensor
 from deepir.problem import Problem, Values
 from deepir.registry import register
 
-#: Degree of the polynomial along 64 or more lines, which the scene may have.
-LOW_ORDER_DEGREE = 8
-#: Rounds of the fixed-point iteration of the standard deviations.
-UPDATE_ROUNDS = 2
+LOW_ORDER_DEGREE = 8  # degree of the polynomial along 64 or more lines, which the scene may have
+UPDATE_ROUNDS = 2  # rounds of the fixed-point iteration of the standard deviations
 #: Nats of the pixels by which a first reference level other than zero has to be likelier, and a later one.
 EVIDENCE_MARGIN, REFINEMENT_MARGIN = 100.0, 2.0
 #: Standard deviations of the data by which a first level differs from zero: nearer, it makes little difference.
 MIN_DEVIATIONS = 3.0
 #: Levels at which the likelihood is compared first: shares of the data's mean, and quantiles of the data.
 SHARES, QUANTILES = (0.25, 0.5, 0.75), (0.0, 0.1, 0.5, 0.9, 1.0)
-#: Share of the data's standard deviation to which the level is found.
-LEVEL_PRECISION = 0.05
+LEVEL_PRECISION = 0.05  # share of the data's standard deviation to which the level is found
 #: Relative error up to which the flux follows the scene's level, and share of the samples that may have more.
 LEVEL_TOLERANCE, EXCEPTIONS_SHARE = 1e-3, 0.01
 

@@ -21,12 +21,10 @@ from deepir.joint_problem import AnyProblem
 from deepir.optim import objective
 from deepir.schedule import Stage, Step
 
-#: Number of weights that are tried.
-N_TRIALS = 7
+N_TRIALS = 7  # number of weights that are tried
 #: First step of the search in log2 of the weight; also where it starts, from above: detail appears faster than it goes.
 COARSE_STEP = 2.0
-#: Second step of the search, in log2 of the weight.
-FINE_STEP = 1.0
+FINE_STEP = 1.0  # second step of the search, in log2 of the weight
 #: Largest log2 of the weight: with an inaccurate sensor an oversmoothed scene may predict best and would remain.
 MAX_LOG2_WEIGHT = 3.0
 #: Samples of one frame that are held out over all frames: few do not show what detail the data leave.

@@ -27,8 +27,7 @@ from deepir.problem import Problem
 
 #: Regularisation of unknowns without a prior, relative to the mean of their diagonal: some are indistinguishable.
 IMPROPER_RIDGE = 1e-9
-#: Residual at which samples are clipped, in median absolute deviations.
-CLIP_MADS = 7.5
+CLIP_MADS = 7.5  # residual at which samples are clipped, in median absolute deviations
 #: Fractions of the chance contribution of lines to the low-order parts of a frame that are tried.
 LINE_VARIANCE_FRACTIONS = (1.0, 1 / 4, 1 / 16)
 #: Standard deviations of further errors of the low-order parts (parallax, distortion) that are tried, data contrasts.
@@ -37,26 +36,18 @@ MODEL_ERROR_FRACTIONS = (3e-4, 1e-3, 3e-3, 1e-2)
 MIN_LOG_BAYES_FACTOR_MODEL_ERROR = 100
 #: Minimum log Bayes factor, nats, of shading if the frames have such a model error.
 MIN_LOG_BAYES_FACTOR_WITH_ERROR = 200
-#: Minimum log Bayes factor, nats, of shading or drift.
-MIN_LOG_BAYES_FACTOR = 3
-#: Minimum log Bayes factor, nats, of drift if shading competes, which is far more common.
-MIN_LOG_BAYES_FACTOR_DRIFT = 5
+MIN_LOG_BAYES_FACTOR = 3  # minimum log Bayes factor, nats, of shading or drift
+MIN_LOG_BAYES_FACTOR_DRIFT = 5  # minimum log Bayes factor, nats, of drift if shading competes, which is far more common
 #: Minimum log Bayes factor, nats, of shading in frames with automatic gain: their levels follow the motion as well.
 MIN_LOG_BAYES_FACTOR_AGC = 40
 #: Standard deviation of shading with drift, relative to that without, below which the drift is preferred.
 MAX_REMAINING_SHADING = 0.8
-#: Change of the scene by the drift from which it is preferred, standard deviations of the data.
-MIN_SCENE_CHANGE = 0.15
-#: Standard deviations on the axis of the coarse search, and of the fine one an octave to either side.
-N_SIGMAS = 21, 9
-#: The same on each axis of a search with a shaded gain.
-N_GAIN_SIGMAS = 9, 7
-#: Pixels of a frame that are used to find a shaded gain, at most.
-MAX_PIXELS = 16_000
-#: Pixels of a block whose columns fit into the cache.
-PIXELS_IN_CACHE = 1000
-#: Degree up to which the low-order parts of a frame may be wrong.
-MAX_ERROR_DEGREE = 2
+MIN_SCENE_CHANGE = 0.15  # change of the scene by the drift from which it is preferred, standard deviations of the data
+N_SIGMAS = 21, 9  # standard deviations on the axis of the coarse search, and of the fine one an octave to either side
+N_GAIN_SIGMAS = 9, 7  # the same on each axis of a search with a shaded gain
+MAX_PIXELS = 16_000  # pixels of a frame that are used to find a shaded gain, at most
+PIXELS_IN_CACHE = 1000  # pixels of a block whose columns fit into the cache
+MAX_ERROR_DEGREE = 2  # degree up to which the low-order parts of a frame may be wrong
 
 
 class MarginalLikelihood:

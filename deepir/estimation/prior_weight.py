@@ -16,35 +16,26 @@ from deepir.optim.preconditioner import scene_information
 from deepir.priors.penalties.base import Penalty, SpatiallyWeighted
 from deepir.problem import Problem
 
-#: Side of the windows over which gradients are averaged, px.
-TEXTURE_WINDOW = 7
-#: Side of the windows over which the information of samples is averaged, px.
-INFORMATION_WINDOW = 5
+TEXTURE_WINDOW = 7  # side of the windows over which gradients are averaged, px
+INFORMATION_WINDOW = 5  # side of the windows over which the information of samples is averaged, px
 #: Numerator a of the weight `2 ** ((a / r)² - b)` at gradients of r noise standard deviations; fitted on the truth of
 #: the bursts in notes/estimates-scene.md, as the next two are.
 LOCAL_SMOOTHNESS_SCALE = 2.75
-#: Offset b of that exponent.
-LOCAL_EXPONENT_OFFSET = 0.3
-#: Largest exponent, unless the whole scene is smoother.
-MAX_LOCAL_EXPONENT = 1.5
+LOCAL_EXPONENT_OFFSET = 0.3  # offset b of that exponent
+MAX_LOCAL_EXPONENT = 1.5  # largest exponent, unless the whole scene is smoother
 #: Numerator a of the factor `2 ** (a / r)²` on the weight for a scene of mean gradient r, noise standard deviations.
 GLOBAL_SMOOTHNESS_SCALE = 3.1
-#: Mean gradient of pure noise, noise standard deviations: the square root of pi.
-NOISE_GRADIENT = 1.77
-#: Offset of a gradient before its logarithm is averaged, noise standard deviations.
-GRADIENT_OFFSET = 0.1
+NOISE_GRADIENT = 1.77  # mean gradient of pure noise, noise standard deviations: the square root of pi
+GRADIENT_OFFSET = 0.1  # offset of a gradient before its logarithm is averaged, noise standard deviations
 #: Range of the information of samples at a pixel, relative to a typical one, that the weights follow.
 WEIGHT_INFORMATION_RANGE = (0.5, 1.0)
 #: Excess of the squared residual over pure noise from which a scene is oversmoothed, noise variances per pixel.
 MAX_EXCESS_MISFIT = 0.1
 #: Fraction of the scene that must be flat for the test: beside much texture the residual varies by more.
 MIN_FLAT_FRACTION = 0.4
-#: Number of probes of the information on an unknown.
-N_PROBES = 4
-#: Step of a probe, relative to the largest value, or to 1 below it.
-PROBE_STEP = 1e-2
-#: Factor on the weight of a penalty that oversmooths.
-WEIGHT_REDUCTION = 2**-0.5
+N_PROBES = 4  # number of probes of the information on an unknown
+PROBE_STEP = 1e-2  # step of a probe, relative to the largest value, or to 1 below it
+WEIGHT_REDUCTION = 2**-0.5  # factor on the weight of a penalty that oversmooths
 
 
 @torch.no_grad()

@@ -20,16 +20,12 @@ from torch import Tensor, nn
 from deepir.arrays.windows import fill_nearest
 from deepir.fields.psf import PSF
 
-#: Mean exponent of the power spectrum of natural scenes (Field 1987, Burton and Moorhead 1987).
-SPECTRAL_EXPONENT = 2.4
-#: Standard deviation of that exponent in the prior.
-SPECTRAL_EXPONENT_SIGMA = 0.13
+SPECTRAL_EXPONENT = 2.4  # mean exponent of the power spectrum of natural scenes (Field 1987, Burton and Moorhead 1987)
+SPECTRAL_EXPONENT_SIGMA = 0.13  # standard deviation of that exponent in the prior
 #: Lowest frequency that is used, radians per px: below, few waves represent large shapes of the scene.
 MIN_FREQUENCY = 0.15
-#: Starting points from which the likelihood is maximised.
-N_REFINED_STARTS = 3
-#: Most iterations of a maximisation.
-MAX_REFINEMENT_ITERATIONS = 40
+N_REFINED_STARTS = 3  # starting points from which the likelihood is maximised
+MAX_REFINEMENT_ITERATIONS = 40  # most iterations of a maximisation
 
 
 def fit_psf(field: PSF, frames: Tensor, usable: Tensor) -> float:

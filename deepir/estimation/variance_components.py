@@ -19,32 +19,21 @@ from torch import Tensor
 
 from deepir.fields.sensor_maps import GaussianMap
 
-#: Elements of a part that are used, at most.
-MAX_ELEMENTS = 8_000
-#: Squared posterior mean, in prior variances, from which an element may be an outlier.
-MIN_OUTLIER_SQUARE = 20.0
-#: Squared posterior mean, in medians of them, from which an element is an outlier.
-MIN_OUTLIER_RATIO = 12.0
-#: Weight of the prior on the variance of gains, as a fraction of the elements.
-GAIN_PRIOR_FRACTION = 0.05
-#: Standard deviation of gains that this prior is centred at.
-TYPICAL_GAIN_SIGMA = 0.02
-#: Rounds of outlier selection and maximisation.
-N_OUTLIER_ROUNDS = 2
-#: Smallest ratio of a new standard deviation to the old one.
-MIN_SIGMA_RATIO = 1e-3
-#: Most Newton steps.
-MAX_NEWTON_STEPS = 50
-#: Longest Newton step, in the logarithm of a standard deviation.
-MAX_LOG_STEP = 1.0
-#: Newton step at which the search stops, in the logarithm of a standard deviation.
-LOG_STEP_TOLERANCE = 1e-2
+MAX_ELEMENTS = 8_000  # elements of a part that are used, at most
+MIN_OUTLIER_SQUARE = 20.0  # squared posterior mean, in prior variances, from which an element may be an outlier
+MIN_OUTLIER_RATIO = 12.0  # squared posterior mean, in medians of them, from which an element is an outlier
+GAIN_PRIOR_FRACTION = 0.05  # weight of the prior on the variance of gains, as a fraction of the elements
+TYPICAL_GAIN_SIGMA = 0.02  # standard deviation of gains that this prior is centred at
+N_OUTLIER_ROUNDS = 2  # rounds of outlier selection and maximisation
+MIN_SIGMA_RATIO = 1e-3  # smallest ratio of a new standard deviation to the old one
+MAX_NEWTON_STEPS = 50  # most Newton steps
+MAX_LOG_STEP = 1.0  # longest Newton step, in the logarithm of a standard deviation
+LOG_STEP_TOLERANCE = 1e-2  # Newton step at which the search stops, in the logarithm of a standard deviation
 #: Largest ratio of a prior standard deviation to that of the average of the frames: where the scene differs between
 #: frames (parallax), gain and offset would otherwise grow to explain it and cancel each other.
 MAX_SIGMA_RATIO = 2.0
 
-#: Value, gradient (K,) and Hessian (K, K) of a function.
-Expansion = tuple[float, np.ndarray, np.ndarray]
+Expansion = tuple[float, np.ndarray, np.ndarray]  # value, gradient (K,) and Hessian (K, K) of a function
 
 
 def estimate_sigmas(information: Tensor, means: Tensor, sigma: Tensor, most: Tensor, free: list[int]) -> Tensor:

@@ -36,8 +36,7 @@ class Field(nn.Module):
     can_represent: ClassVar[bool] = True
     #: Motion model of the registration that initialises the field; None unless it is a motion.
     model: ClassVar[str | None] = None
-    #: Shape and options of `example`.
-    example_shape: ClassVar[Shape] = (1, 1, 6, 7)
+    example_shape: ClassVar[Shape] = (1, 1, 6, 7)  # shape and options of `example`
     example_options: ClassVar[dict[str, Any]] = {}
 
     def __init__(self, shape: Shape, neutral: float = 0.0) -> None:

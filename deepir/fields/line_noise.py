@@ -31,8 +31,7 @@ class LineNoise(GaussianField):
     line_axis: ClassVar[int]
     #: Name of the lines in messages.
     line_name: ClassVar[str]
-    #: Whether the last estimate was the first with a positive variance.
-    newly_detected = False
+    newly_detected = False  # whether the last estimate was the first with a positive variance
 
     def __init__(
         self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], sigma: float | None = None

@@ -18,17 +18,13 @@ from deepir.registry import register
 #: Displacement per unit of a parameter, detector px times the square root of the samples it affects. The curvature of
 #: the misfit in a shift is about the number of samples times that in a scene pixel times its squared gradient.
 PARAMETER_SCALE = 10.0
-#: Deviation from a rigid motion at the corners of the frame that counts as rounding, px.
-RIGID_TOLERANCE = 1e-3
+RIGID_TOLERANCE = 1e-3  # deviation from a rigid motion at the corners of the frame that counts as rounding, px
 #: Default weight of the total variation of displacements, nats per px of a step and px of its length; without texture
 #: nothing else determines them.
 DEFAULT_TV_WEIGHT = 1.0
-#: Largest spacing of control points, px.
-MAX_SPACING = 1000.0
-#: Smoothing length of the total variation, px between control points.
-TV_SMOOTHING = 0.05
-#: Sum of the squares of a cubic B-spline over one axis, in spacings of its control points.
-SPLINE_EXTENT = 0.479
+MAX_SPACING = 1000.0  # largest spacing of control points, px
+TV_SMOOTHING = 0.05  # smoothing length of the total variation, px between control points
+SPLINE_EXTENT = 0.479  # sum of the squares of a cubic B-spline over one axis, in spacings of its control points
 
 
 class Motion(Field):
@@ -48,13 +44,7 @@ class Motion(Field):
     example_options: ClassVar = {"size": (60, 80)}
 
     def __init__(
-        self,
-        shape: Shape,
-        neutral: float = 0.0,
-        *,
-        size: tuple[int, int],
-        ratio: float = 1.0,
-        anchored: bool = True,
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], ratio: float = 1.0, anchored: bool = True
     ) -> None:
         super().__init__(shape, neutral)
         self.n_fixed = int(anchored)

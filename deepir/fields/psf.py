@@ -16,20 +16,13 @@ from deepir.fields.constant import Constant, read_map
 from deepir.fields.motion import PARAMETER_SCALE
 from deepir.registry import register
 
-#: Largest width, px.
-MAX_WIDTH = 1e2
-#: Smallest width of a search, px: narrower kernels are indistinguishable.
-MIN_WIDTH = 0.4
-#: Quadrature points along the side of a pixel.
-POINTS_PER_PIXEL = 8
-#: Width of the soft edge of a kernel, px.
-EDGE_WIDTH = 0.2
-#: Smallest initial value relative to the largest: exact zeros would remain zero.
-MIN_INITIAL_RATIO = 1e-4
-#: First positive zero of the Bessel function J1.
-FIRST_ZERO_OF_J1 = 3.8317059702075125
-#: Nodes of the quadrature: exact to 1e-6 up to ten rings.
-N_QUADRATURE_NODES = 48
+MAX_WIDTH = 1e2  # largest width, px
+MIN_WIDTH = 0.4  # smallest width of a search, px: narrower kernels are indistinguishable
+POINTS_PER_PIXEL = 8  # quadrature points along the side of a pixel
+EDGE_WIDTH = 0.2  # width of the soft edge of a kernel, px
+MIN_INITIAL_RATIO = 1e-4  # smallest initial value relative to the largest: exact zeros would remain zero
+FIRST_ZERO_OF_J1 = 3.8317059702075125  # first positive zero of the Bessel function J1
+N_QUADRATURE_NODES = 48  # nodes of the quadrature: exact to 1e-6 up to ten rings
 
 
 class PSF(Field):
@@ -239,13 +232,7 @@ class MotionBlur(PSF):
     can_represent: ClassVar[bool] = False  # its direction, to half a degree
 
     def __init__(
-        self,
-        shape: Shape,
-        neutral: float = 0.0,
-        *,
-        size: tuple[int, int],
-        length: float = 3.0,
-        angle: float = 0.0,
+        self, shape: Shape, neutral: float = 0.0, *, size: tuple[int, int], length: float = 3.0, angle: float = 0.0
     ) -> None:
         super().__init__(shape, neutral, size, "length", length)
         if shape[0] > 1:

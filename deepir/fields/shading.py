@@ -12,8 +12,7 @@ from deepir.fields.base import Shape, check_counts
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.registry import register
 
-#: Variance of a term relative to one of the next lower degree.
-VARIANCE_DECAY = 0.1
+VARIANCE_DECAY = 0.1  # variance of a term relative to one of the next lower degree
 
 
 @register("field", "shading")
@@ -54,14 +53,10 @@ class Shading(GaussianMap):
             for name, table in zip(("basis", "powers", "extended", "products"), _tables(side, degree), strict=True):
                 self.register_buffer(f"{name}_{axis}", table, persistent=False)
             self.register_buffer(
-                f"order_{axis}",
-                torch.tensor([each[k] for each in orders], dtype=torch.long),
-                persistent=False,
+                f"order_{axis}", torch.tensor([each[k] for each in orders], dtype=torch.long), persistent=False
             )
         self.register_buffer(
-            "relative_sigma",
-            VARIANCE_DECAY ** ((self.order_y + self.order_x - 1).double() / 2),
-            persistent=False,
+            "relative_sigma", VARIANCE_DECAY ** ((self.order_y + self.order_x - 1).double() / 2), persistent=False
         )
         self.whitened = nn.Parameter(torch.zeros(len(orders), dtype=torch.float64))
 

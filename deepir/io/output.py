@@ -160,11 +160,7 @@ def tiff(path: Path, dtype: np.dtype[Any], metadata: Mapping[str, Any]) -> Itera
 
         def write(frame: Array) -> None:
             file.write(
-                cast(frame, dtype),
-                photometric="minisblack",
-                description=description,
-                metadata=None,
-                contiguous=True,
+                cast(frame, dtype), photometric="minisblack", description=description, metadata=None, contiguous=True
             )
 
         yield write

@@ -169,10 +169,7 @@ def resolve_radiometry(found: Radiometry | None, asked: schema.Radiometry) -> Ra
 
 
 def as_of_frame_0(
-    frames: Iterable[Array],
-    laws: Sequence[Radiometry | None],
-    asked: schema.Radiometry | None,
-    source: str,
+    frames: Iterable[Array], laws: Sequence[Radiometry | None], asked: schema.Radiometry | None, source: str
 ) -> Iterator[Array]:
     """Frames, float32, in the counts that frame 0 would have given of the same temperatures.
 

@@ -10,8 +10,7 @@ import numpy as np
 
 Array = np.ndarray[Any, Any]
 WHITE_HOT = "white-hot"  # the default palette
-#: Palettes to choose from.
-PALETTES = (WHITE_HOT, "black-hot", "ironbow", "inferno", "magma", "turbo")
+PALETTES = (WHITE_HOT, "black-hot", "ironbow", "inferno", "magma", "turbo")  # palettes to choose from
 DEVIATIONS = "viridis"  # palette of standard deviations
 SIGNED = "blue-red"  # palette of maps about a centre
 #: Colours of each palette in hexadecimal, equally far from one another: those that matplotlib calls `gray`, `inferno`,
@@ -98,5 +97,4 @@ def stretch(image: Array, low: float, high: float) -> Array:
     return np.clip((np.where(np.isfinite(image), image, low) - low) * scale, 0, 1)
 
 
-#: Tone mappings by name.
-TONE_MAPPINGS: dict[str, Callable[[Array], Array]] = {PERCENTILE: percentile, "clahe": clahe}
+TONE_MAPPINGS: dict[str, Callable[[Array], Array]] = {PERCENTILE: percentile, "clahe": clahe}  # tone mappings by name

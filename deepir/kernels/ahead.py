@@ -73,11 +73,7 @@ def _compile_beside(lines: list[str], done: dict[str, threading.Event]) -> None:
     command = [sys.executable, "-c", PROGRAM, str(Path(__file__).parents[2]), *lines]
     try:
         with subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            encoding="ascii",
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, encoding="ascii"
         ) as process:
             for name in process.stdout or ():
                 done[name.strip()].set()

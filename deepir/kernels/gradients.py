@@ -7,8 +7,7 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-#: Side of a filter, px.
-FILTER_SIDE = 5
+FILTER_SIDE = 5  # side of a filter, px
 
 
 @compiled

@@ -9,12 +9,9 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
-#: Option of mallopt: free memory at the top of the heap that is kept, bytes (glibc, malloc.h).
-TRIM_THRESHOLD = -1
-#: Option of mallopt: size from which arrays get pages of their own, bytes (glibc, malloc.h).
-MMAP_THRESHOLD = -3
-#: Option of mallopt: largest number of such arrays (glibc, malloc.h).
-MMAP_MAX = -4
+TRIM_THRESHOLD = -1  # option of mallopt: free memory at the top of the heap that is kept, bytes (glibc, malloc.h)
+MMAP_THRESHOLD = -3  # option of mallopt: size from which arrays get pages of their own, bytes (glibc, malloc.h)
+MMAP_MAX = -4  # option of mallopt: largest number of such arrays (glibc, malloc.h)
 #: Values afterwards: the largest that glibc itself adapts to.
 RESTORED_OPTIONS = {TRIM_THRESHOLD: 2**26, MMAP_THRESHOLD: 2**25, MMAP_MAX: 2**16}
 

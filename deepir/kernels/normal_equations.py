@@ -7,12 +7,9 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-#: Determinants that are multiplied before one logarithm is taken.
-DETERMINANTS_PER_LOG = 8
-#: Rows of a band, the unit of parallel work.
-ROWS_PER_BAND = 32
-#: Pixels whose sums stay in the cache.
-PIXELS_PER_BLOCK = 512
+DETERMINANTS_PER_LOG = 8  # determinants that are multiplied before one logarithm is taken
+ROWS_PER_BAND = 32  # rows of a band, the unit of parallel work
+PIXELS_PER_BLOCK = 512  # pixels whose sums stay in the cache
 
 
 @compiled
@@ -121,13 +118,7 @@ def reduce(first, last, flux, data, precision, level, neutral, u, v, maps, acros
                     p3 = (sa[j] + shift * sb[j] + v * cross) * scale
                     p4 = (sb[j] + u * (sb[j] * aa[j] - sa[j] * ab[j] - shift * cross)) * scale
                     m0[j], m1[j], m2[j], m3[j], m4[j] = p0, p1, p2, p3, p4
-                    d0[j], d1[j], d2[j], d3[j], d4[j] = (
-                        d0[j] + p0,
-                        d1[j] + p1,
-                        d2[j] + p2,
-                        d3[j] + p3,
-                        d4[j] + p4,
-                    )
+                    d0[j], d1[j], d2[j], d3[j], d4[j] = (d0[j] + p0, d1[j] + p1, d2[j] + p2, d3[j] + p3, d4[j] + p4)
                     s0, s1, s2, s3, s4 = s0 + p0, s1 + p1, s2 + p2, s3 + p3, s4 + p4
                 for j in range(0, stop - start, DETERMINANTS_PER_LOG):
                     product = 1.0

@@ -11,10 +11,8 @@ import numpy as np
 
 from deepir.kernels.compile import compiled
 
-#: Smallest depth of a projected point; float32, as the operands are.
-MIN_DEPTH = np.float32(1e-3)
-#: How far a point may lie beyond the outermost pixel, by rounding, px.
-EDGE_TOLERANCE = np.float32(1e-3)
+MIN_DEPTH = np.float32(1e-3)  # smallest depth of a projected point; float32, as the operands are
+EDGE_TOLERANCE = np.float32(1e-3)  # how far a point may lie beyond the outermost pixel, by rounding, px
 #: Numbers in float32: with integers of Python numba computes in float64.
 ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 

@@ -17,12 +17,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from torch import Tensor
 
-#: Smallest depth of a projected point.
-MIN_DEPTH = 1e-3
-#: False: the twins compute on the CPU too, so that tests can compare them with the loops.
-ENABLED = True
-#: Samples of a burst from which a second thread is faster.
-MIN_PARALLEL_SAMPLES = 400_000
+MIN_DEPTH = 1e-3  # smallest depth of a projected point
+ENABLED = True  # false: the twins compute on the CPU too, so that tests can compare them with the loops
+MIN_PARALLEL_SAMPLES = 400_000  # samples of a burst from which a second thread is faster
 #: Threads unless others are asked for. On 16 hyperthreads, 1, 2, 4, 8 and 16 took 15, 10, 7, 5.6 and 14 s.
 MAX_THREADS = 8
 

@@ -23,8 +23,7 @@ FREEDOMS = (1.0, 2.0, 4.0)
 SAMPLES = 20_000  # gradients of a frame by which its distribution is chosen
 SCALE_STEPS = 10
 LOW = 0.05  # least strength, in the most: what falls to nothing does not come back
-#: Least spatial frequency of the lowest band, cycles/px; bands are octaves along each axis.
-LOWEST_FREQUENCY = 1 / 128
+LOWEST_FREQUENCY = 1 / 128  # least spatial frequency of the lowest band, cycles/px; bands are octaves along each axis
 #: Power of a band at least, relative to the noise of the estimate there: a power of zero would stay zero.
 MIN_POWER = 1e-3
 

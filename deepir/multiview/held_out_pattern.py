@@ -21,15 +21,11 @@ from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, s
 
 Array = np.ndarray[Any, Any]
 
-#: Share of the frame that has to be known to have moved.
-MIN_KNOWN = 0.02
-#: Shorter side, px, to which frames are averaged at least.
-SHORT_SIDE = 80
-#: Correlated samples: one displacement is estimated for all of a window.
-CORRELATED = (2 * RADIUS + 1) ** 2
+MIN_KNOWN = 0.02  # share of the frame that has to be known to have moved
+SHORT_SIDE = 80  # shorter side, px, to which frames are averaged at least
+CORRELATED = (2 * RADIUS + 1) ** 2  # correlated samples: one displacement is estimated for all of a window
 DETAIL = 5  # px, of the box average that is taken off for the pattern's detail
-#: Correlated pixels of the detail.
-CORRELATED_DETAIL = 4.0
+CORRELATED_DETAIL = 4.0  # correlated pixels of the detail
 #: px by which the scene has moved where its detail is unrelated to that before, and robust deviations of the detail
 #: beyond which it is an edge, and counts as these.
 DETAIL_REACH, EDGE_LIMIT = 2.0, 3.0

@@ -15,16 +15,12 @@ from deepir.multiview.texture_flow import RADIUS, Displacement, coarsening, disp
 
 Array = np.ndarray[Any, Any]
 
-#: Standard deviation, px, of the Gaussian that takes the low-order part.
-LOW_ORDER_SIGMA = 4.0
-#: Side, px, of the windows whose median is taken off for the fine part.
-FINE_SIDE = 5
+LOW_ORDER_SIGMA = 4.0  # standard deviation, px, of the Gaussian that takes the low-order part
+FINE_SIDE = 5  # side, px, of the windows whose median is taken off for the fine part
 #: Largest ratio of the low-order part's standard deviation to the fine part's (robust) in a sensor's pattern.
 MAX_RATIO = 20.0
-#: Frames between which displacements are sought, apart in the order of the frames.
-GAPS = (1, 2)
-#: Times that displacements are sought, each after what was found before is taken off.
-ROUNDS = 3
+GAPS = (1, 2)  # frames between which displacements are sought, apart in the order of the frames
+ROUNDS = 3  # times that displacements are sought, each after what was found before is taken off
 #: px of the averaged frames between nodes of the grid, and between the samples that are used.
 CELL, STEP = 5, 2
 #: Samples that say the same: the displacement of all in a window is one, and each frame is in pairs of all gaps.
@@ -37,10 +33,8 @@ CHANGE_SIGMA = 0.5
 MIN_KNOWN, CHANCE_FACTOR = 0.02, 3.0
 CHANCE_PAIRS = 5
 REWEIGHTINGS = 5
-#: Robust deviation of a pair's changes at least, relative to the frames' contrast.
-MIN_SCALE = 0.003
-#: Samples of a pair below which it is left out.
-MIN_SAMPLES = 50
+MIN_SCALE = 0.003  # robust deviation of a pair's changes at least, relative to the frames' contrast
+MIN_SAMPLES = 50  # samples of a pair below which it is left out
 
 
 def low_order_part(pattern: Array, usable: Array) -> Array:
@@ -110,10 +104,7 @@ class _Grid:
         along = [np.polynomial.legendre.legvander(np.linspace(-1, 1, count), DEGREE) for count in self.nodes]
         self.polynomials = np.stack([np.outer(along[0][:, i], along[1][:, j]).ravel() for i, j in orders], 1)
         steps = [sp.diags([-1.0, 1.0], [0, 1], shape=(count - 1, count)) for count in self.nodes]
-        down, across = (
-            sp.kron(steps[0], sp.eye(self.nodes[1])),
-            sp.kron(sp.eye(self.nodes[0]), steps[1]),
-        )
+        down, across = (sp.kron(steps[0], sp.eye(self.nodes[1])), sp.kron(sp.eye(self.nodes[0]), steps[1]))
         smooth = down.T @ down + across.T @ across + 1e-6 * sp.eye(len(self.polynomials))
         self.prior = sp.block_diag([smooth, sp.eye(len(orders))]).tocsr()
 

@@ -23,8 +23,7 @@ from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacemen
 
 Array = np.ndarray[Any, Any]
 
-#: Pairs of frames, half the recording apart, that are compared.
-PAIRS = 5
+PAIRS = 5  # pairs of frames, half the recording apart, that are compared
 DETAIL = 5  # px, of the box average that is taken off for the fine part of what all frames share
 #: Deviation of the coarser texture that all frames share, in that of its fine part, from which it may be a scene's:
 #: white pixels have 0.2, a raw pattern that hides the scene 0.3 to 0.7, a camera at rest behind a shutter 2.

@@ -141,13 +141,7 @@ def _share_may_exceed(share: float, before: Array, after: Array, bad: Array, *, 
     return bool(slope + SIGNIFICANCE * error > share)
 
 
-def shares(
-    frames: Array,
-    parts: Array,
-    known: Array,
-    *,
-    reweightings: int = REWEIGHTINGS,
-) -> tuple[Array, Array]:
+def shares(frames: Array, parts: Array, known: Array, *, reweightings: int = REWEIGHTINGS) -> tuple[Array, Array]:
     """Slopes of the gradients of frames over those of parts, by robust least squares.
 
     Args:

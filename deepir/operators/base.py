@@ -50,26 +50,19 @@ class Operator(nn.Module):
     the unknowns.
     """
 
-    #: Whether it is linear in `x` for fixed slots.
-    linear: bool = True
-    #: Whether it is linear in `x` up to a constant (an offset).
-    affine: bool = True
+    linear: bool = True  # whether it is linear in `x` for fixed slots
+    affine: bool = True  # whether it is linear in `x` up to a constant (an offset)
     #: The value of each slot that leaves the data unchanged (1 for a gain, 0 for an offset).
     neutral: ClassVar[Mapping[str, float]] = {}
     #: Standard deviation of the inverse-filtered white noise of the output, relative to that of the output.
     noise_gain: float = 1.0
-    #: Whether the slot `motion` moves the sampling points of each frame.
-    moves: ClassVar[bool] = False
+    moves: ClassVar[bool] = False  # whether the slot `motion` moves the sampling points of each frame
     #: Whether each sample of the output depends on the sample of the input at the same place and time only.
     pointwise: ClassVar[bool] = False
-    #: Whether samples depend on earlier samples of the same pixel, and on nothing else.
-    temporal: ClassVar[bool] = False
-    #: Whether the output's pixels lie at the input's; the reach of a blur aside.
-    keeps_grid: ClassVar[bool] = False
-    #: The instants at which it needs its input.
-    trajectory: Trajectory = Trajectory()
-    #: Shape of the input, options and number of frames of `example`.
-    example_shape: ClassVar[Shape] = (1, 1, 4, 5)
+    temporal: ClassVar[bool] = False  # whether samples depend on earlier samples of the same pixel, and on nothing else
+    keeps_grid: ClassVar[bool] = False  # whether the output's pixels lie at the input's; the reach of a blur aside
+    trajectory: Trajectory = Trajectory()  # the instants at which it needs its input
+    example_shape: ClassVar[Shape] = (1, 1, 4, 5)  # shape of the input, options and number of frames of `example`
     example_options: ClassVar[Mapping[str, Any]] = {}
     example_frames: ClassVar[int] = 3
 

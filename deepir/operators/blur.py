@@ -12,8 +12,7 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
 
-#: Largest radius, px.
-MAX_RADIUS = 100
+MAX_RADIUS = 100  # largest radius, px
 
 
 @register("operator", "blur")

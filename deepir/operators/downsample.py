@@ -12,10 +12,8 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape
 from deepir.registry import register
 
-#: Largest factor: beyond, the pixel's aperture removes all finer detail.
-MAX_FACTOR = 8
-#: Largest denominator of a factor that is not whole.
-MAX_DENOMINATOR = 16
+MAX_FACTOR = 8  # largest factor: beyond, the pixel's aperture removes all finer detail
+MAX_DENOMINATOR = 16  # largest denominator of a factor that is not whole
 
 
 @register("operator", "downsample")

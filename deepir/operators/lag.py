@@ -10,8 +10,7 @@ from torch import Tensor
 from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.registry import register
 
-#: Smallest time constant, in time steps; below, a pixel follows at once.
-MIN_TIME_CONSTANT = 1e-6
+MIN_TIME_CONSTANT = 1e-6  # smallest time constant, in time steps; below, a pixel follows at once
 
 
 @register("operator", "lag")
@@ -33,13 +32,7 @@ class Lag(Operator):
     example_shape = (7, 1, 4, 5)
     example_options: ClassVar = {"fps": 60.0, "substeps": 2}
 
-    def __init__(
-        self,
-        fps: float | None = None,
-        *,
-        substeps: int = 4,
-        readout: float = 0.0,
-    ) -> None:
+    def __init__(self, fps: float | None = None, *, substeps: int = 4, readout: float = 0.0) -> None:
         """Discretise the response.
 
         Args:

@@ -13,10 +13,8 @@ from torch import Tensor
 from deepir.operators import Chain, Warp
 from deepir.operators.warp import fast_fft_length, project_pixels
 
-#: Number of parameters of a frame, by model.
-PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}
-#: Model name: rigid, or homographies if the frames are distorted.
-AUTO = "auto"
+PARAMETERS = {"shift": 2, "rigid": 3, "affine": 6, "homography": 8}  # number of parameters of a frame, by model
+AUTO = "auto"  # model name: rigid, or homographies if the frames are distorted
 
 
 @dataclass(frozen=True)
@@ -150,10 +148,9 @@ def generators(model: str, points: Tensor, size: float) -> tuple[Tensor, Tensor]
     """
     x, y = points / size
     one, zero = torch.ones_like(x), torch.zeros_like(x)
-    columns = {
-        "shift": [(one, zero), (zero, one)],
-        "rigid": [(one, zero), (zero, one), (-y, x)],
-    }.get(model, [(one, zero), (zero, one), (x, zero), (y, zero), (zero, x), (zero, y)])
+    columns = {"shift": [(one, zero), (zero, one)], "rigid": [(one, zero), (zero, one), (-y, x)]}.get(
+        model, [(one, zero), (zero, one), (x, zero), (y, zero), (zero, x), (zero, y)]
+    )
     if model == "homography":
         columns = [*columns, (-x * x, -x * y), (-x * y, -y * y)]
     return torch.stack([c[0] for c in columns]), torch.stack([c[1] for c in columns])

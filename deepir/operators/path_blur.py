@@ -11,8 +11,7 @@ from deepir.operators.base import Shape
 from deepir.operators.blur import Blur
 from deepir.registry import register
 
-#: Half the support of the interpolation kernel, px (Lanczos).
-LOBES = 3
+LOBES = 3  # half the support of the interpolation kernel, px (Lanczos)
 
 
 @register("operator", "path_blur")

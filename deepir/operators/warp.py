@@ -19,15 +19,12 @@ from deepir.kernels.threads import MIN_DEPTH, is_compiled
 from deepir.operators.base import Operator, Shape, Trajectory
 from deepir.registry import register
 
-#: Smallest side of a canvas, px: the support of a cubic spline.
-MIN_CANVAS_SIDE = 4
+MIN_CANVAS_SIDE = 4  # smallest side of a canvas, px: the support of a cubic spline
 #: Standard deviation of a coefficient for white noise of one in the image, 12 ** 0.5: along an axis, the inverse of the
 #: spline at the pixels, `(2 + cos w) / 3`, has the mean square 12 ** 0.5.
 NOISE_GAIN = 12**0.5
-#: Largest entry of a motion: beyond, coordinates overflow in float32.
-MAX_ENTRY = 1e6
-#: Width of the canvas beyond the footprints of the frames, px.
-CANVAS_MARGIN = 8
+MAX_ENTRY = 1e6  # largest entry of a motion: beyond, coordinates overflow in float32
+CANVAS_MARGIN = 8  # width of the canvas beyond the footprints of the frames, px
 EVERY_FRAME = Trajectory()
 ALL_PIXELS = slice(None)
 

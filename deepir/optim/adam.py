@@ -13,8 +13,7 @@ from deepir.optim.base import Evaluate, Optimiser, Rate, free_parameters
 from deepir.optim.objective import held_out_error
 from deepir.registry import register
 
-#: Iterations between two evaluations of the held-out error.
-HELD_OUT_INTERVAL = 10
+HELD_OUT_INTERVAL = 10  # iterations between two evaluations of the held-out error
 
 
 @register("optimiser", "adam")

@@ -14,8 +14,7 @@ from deepir.optim.preconditioner import BlockPreconditioner, Preconditioner
 from deepir.problem import Values
 
 Evaluate = Callable[[Sequence[str]], tuple[Tensor, Values]]
-#: Learning rate: one number, or one for each unknown.
-Rate = float | Mapping[str, float]
+Rate = float | Mapping[str, float]  # learning rate: one number, or one for each unknown
 
 
 def free_parameters(problem: AnyProblem, group: Sequence[str]) -> list[nn.Parameter]:
@@ -34,8 +33,7 @@ class Optimiser:
     `@register("optimiser", NAME)` on a subclass makes it the `method` of a step.
     """
 
-    #: Whether its objective only falls, so that a stage may end once it rests.
-    descends: ClassVar[bool] = True
+    descends: ClassVar[bool] = True  # whether its objective only falls, so that a stage may end once it rests
     #: Whether it is given the problem's approximate inverse Hessian, where there is one.
     preconditioned: ClassVar[bool] = False
 

@@ -16,29 +16,16 @@ from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
 from deepir.fields.base import Pixels
 from deepir.fields.motion import Motion
 from deepir.operators.motion_models import displacement_at
-from deepir.optim.low_order_model import (
-    MIN_CURVATURE_RATIO,
-    Variances,
-    additive_variances,
-    penalty_curvature,
-)
+from deepir.optim.low_order_model import MIN_CURVATURE_RATIO, Variances, additive_variances, penalty_curvature
 from deepir.problem import Problem
 
-#: Positions along each axis of the frame at which the motion is evaluated.
-N_MOTION_POSITIONS = 5
+N_MOTION_POSITIONS = 5  # positions along each axis of the frame at which the motion is evaluated
 #: Weight of the scene's squared gradient under the weak prior, relative to the precision of a frame.
 GRADIENT_WEIGHT = 0.001
-#: Frequencies along each axis of the spectrum.
-N_FREQUENCIES = 24
-#: Positions along each axis of the frame.
-N_POSITIONS = 5
+N_FREQUENCIES = 24  # frequencies along each axis of the spectrum
+N_POSITIONS = 5  # positions along each axis of the frame
 #: Polynomials in the sub-pixel shift: six times the weights of the four coefficients of a cubic B-spline.
-SPLINE_POLYNOMIALS = (
-    (1.0, -3.0, 3.0, -1.0),
-    (4.0, 0.0, -6.0, 3.0),
-    (1.0, 3.0, 3.0, -3.0),
-    (0.0, 0.0, 0.0, 1.0),
-)
+SPLINE_POLYNOMIALS = ((1.0, -3.0, 3.0, -1.0), (4.0, 0.0, -6.0, 3.0), (1.0, 3.0, 3.0, -3.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def has_fourier_model(problem: Problem) -> bool:
@@ -120,12 +107,7 @@ def _squared_spline_response(y: Tensor, x: Tensor) -> Tensor:
 
 
 def _coupling_denominator(
-    variance: Variances,
-    precision: float,
-    count: int,
-    size: Sequence[int],
-    y: Tensor,
-    x: Tensor,
+    variance: Variances, precision: float, count: int, size: Sequence[int], y: Tensor, x: Tensor
 ) -> Tensor:
     """`n + 1 / (w V)` for each wave; the variance of columns is concentrated on waves that are constant along them."""
     height, width = size

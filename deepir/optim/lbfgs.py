@@ -12,20 +12,14 @@ from deepir.joint_problem import AnyProblem
 from deepir.optim.base import Evaluate, Optimiser, Rate
 from deepir.registry import register
 
-#: Pairs of steps and gradient changes that are kept.
-MEMORY = 10
-#: Pairs up to which the preconditioner is rescaled to the newest pair.
-N_RESCALED_PAIRS = 4
+MEMORY = 10  # pairs of steps and gradient changes that are kept
+N_RESCALED_PAIRS = 4  # pairs up to which the preconditioner is rescaled to the newest pair
 #: Slope at the end of a step, relative to minus that at its start, from which the step was too long.
 OVERSHOOT_RATIO = 0.5
-#: Factor on the preconditioner after a step that was too long.
-OVERSHOOT_SHRINKAGE = 0.7
-#: Constant c1 of the weak Wolfe conditions (Nocedal and Wright, section 3.1).
-WOLFE_DECREASE = 1e-4
-#: Constant c2 of the weak Wolfe conditions.
-WOLFE_CURVATURE = 0.9
-#: Most trials of a line search.
-MAX_TRIALS = 20
+OVERSHOOT_SHRINKAGE = 0.7  # factor on the preconditioner after a step that was too long
+WOLFE_DECREASE = 1e-4  # constant c1 of the weak Wolfe conditions (Nocedal and Wright, section 3.1)
+WOLFE_CURVATURE = 0.9  # constant c2 of the weak Wolfe conditions
+MAX_TRIALS = 20  # most trials of a line search
 
 
 @register("optimiser", "lbfgs")

@@ -28,19 +28,15 @@ from deepir.fields.shading import Shading
 from deepir.operators import Lag
 from deepir.problem import Problem
 
-#: Points along each axis at which the polynomials are sampled.
-N_SAMPLING_POINTS = 40
+N_SAMPLING_POINTS = 40  # points along each axis at which the polynomials are sampled
 #: Regularisation of the information of frames, relative to the mean of its diagonal: some frames have none.
 INFORMATION_RIDGE = 1e-12
-#: Smallest curvature, relative to the mean.
-MIN_CURVATURE_RATIO = 1e-8
+MIN_CURVATURE_RATIO = 1e-8  # smallest curvature, relative to the mean
 #: Largest prior standard deviation of the gain of lines that is treated as an additive pattern.
 MAX_ADDITIVE_LINE_GAIN = 0.15
-#: Key of the variance of the shading; no axes.
-SHADING_KEY = (-1, 1)
+SHADING_KEY = (-1, 1)  # key of the variance of the shading; no axes
 
-#: Variances of the pattern, by the axes along which it is constant.
-Variances = dict[tuple[int, ...], float]
+Variances = dict[tuple[int, ...], float]  # variances of the pattern, by the axes along which it is constant
 
 
 class LowOrderModel:
@@ -171,10 +167,7 @@ def expected_variances(variance: Variances, frame: Shading) -> Tensor:
 
 
 def low_order_inverse_hessian(
-    problem: Problem,
-    low_order: LowOrderModel,
-    others: Sequence[Drift | BasisExpansion],
-    eliminated: Collection[str],
+    problem: Problem, low_order: LowOrderModel, others: Sequence[Drift | BasisExpansion], eliminated: Collection[str]
 ) -> Tensor:
     """Inverse Hessian of the scene's polynomials and of free frame levels and stray flux.
 

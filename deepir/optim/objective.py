@@ -21,8 +21,7 @@ from deepir.problem import Values
 from deepir.registry import lookup
 from deepir.schedule import Stage, Step
 
-#: Fraction of the samples that is held out.
-HELD_OUT_FRACTION = 0.02
+HELD_OUT_FRACTION = 0.02  # fraction of the samples that is held out
 #: Violation of a bound by the prediction from which the sample counts, standard deviations of the noise.
 BOUND_VIOLATION = 2.0
 

@@ -43,8 +43,7 @@ MIN_LINE_CURVATURE_RATIO = 0.03
 INFORMATION_RANGE = (0.5, 30.0)
 #: Upper end of the frequencies that are frozen if only high frequencies are fitted, radians per px.
 LOW_FREQUENCY = 1 / 4
-#: Number of frames that must show a pixel of the scene for it to be determined.
-MIN_FRAMES_SEEN = 0.2
+MIN_FRAMES_SEEN = 0.2  # number of frames that must show a pixel of the scene for it to be determined
 
 
 @dataclass(frozen=True)

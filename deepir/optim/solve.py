@@ -33,8 +33,7 @@ from deepir.schedule import Stage, Step
 
 #: Objective relative to the start of the stage (at least one nat per sample) from which a solve has diverged.
 MAX_OBJECTIVE_RATIO = 1e3
-#: Iterations between two evaluations of the held-out error.
-HELD_OUT_REPORT_INTERVAL = 25
+HELD_OUT_REPORT_INTERVAL = 25  # iterations between two evaluations of the held-out error
 
 
 @dataclass

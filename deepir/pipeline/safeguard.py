@@ -32,8 +32,7 @@ MARGIN = 10.0
 CERTAINTY = 3.0
 #: Pairs of the burst's own frames that are compared, and frames apart.
 OWN_PAIRS, GAPS = 4, (1, 2)
-#: Frames below which no pattern is estimated without registration.
-MIN_FRAMES = 4
+MIN_FRAMES = 4  # frames below which no pattern is estimated without registration
 UNREGISTERED = "an offset that is estimated without registration, and no gain"
 #: Messages on what only the estimate has that is given up.
 OF_ESTIMATE = ("moving-object", "still-region", "pattern-cost")

@@ -33,8 +33,7 @@ MAX_FRAMES = 10**6  # more frames than any burst has
 ROUNDING_SIGMA = 0.29  # standard deviation of rounding to whole counts, 1 / √12
 SIGNAL_WINDOW = 5  # px: side of the window whose mean is a sample's signal
 MIN_RELATIVE_VARIANCE = 0.3  # of a sample, relative to the median: an offset is no light, and has no photon noise
-#: Problems that take several bands.
-PROBLEMS = ("nuc", "generic")
+PROBLEMS = ("nuc", "generic")  # problems that take several bands
 #: What each band has by itself; the motion and the frames that are used are those of all.
 OWN = ("scene", "gain", "offset", "level", "bad_pixels")
 

@@ -27,8 +27,7 @@ from deepir.schedule import Schedule, Stage, Step
 MIN_FRAMES_FOR_PIXELS = 4  # frames; of fewer, pixels are hardly separated from the scenes
 BLOCK = 8  # px, of which means are compared
 SIMILARITY = 0.3  # mean squared differences of frames, to those of unrelated ones
-#: Share of the low-order part, from none and from all, within which its division is no guess.
-GUESS = 0.1
+GUESS = 0.1  # share of the low-order part, from none and from all, within which its division is no guess
 CONTRAST_ROUNDS = 3  # of gains of the frames, and of the pattern that they share
 DEFECTIVE, ISOLATED = 3.0, 1.5  # misfit of a pixel that is no sensor: nats, and times that of its neighbourhood
 

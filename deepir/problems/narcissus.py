@@ -33,10 +33,8 @@ from deepir.schedule import Schedule, Stage, Step
 
 #: Highest spatial frequency of the fit, half waves over the frame: finer structure is more likely the scene's.
 MAX_STRAY_FREQUENCY = 6.0
-#: Shorter side to which the frame is reduced, px.
-REDUCED_SIDE = 128
-#: Rounds of reweighting.
-N_REWEIGHTING_ROUNDS = 50
+REDUCED_SIDE = 128  # shorter side to which the frame is reduced, px
+N_REWEIGHTING_ROUNDS = 50  # rounds of reweighting
 ONE_FRAME_MESSAGE = Message(
     "one-frame",
     "one frame: only its smoothness separates stray flux from the scene. A slope or a large glow of "

@@ -36,24 +36,17 @@ class Recipe:
         effects: In place of those that `effect_names` names, with their default options.
     """
 
-    #: Frames that it needs at least.
-    frames: ClassVar[int] = 1
-    #: Whether it cannot work without motion between the frames.
-    motion: ClassVar[bool] = False
-    #: Whether frames follow each other in time, so that none may be missing in between.
-    ordered: ClassVar[bool] = False
+    frames: ClassVar[int] = 1  # frames that it needs at least
+    motion: ClassVar[bool] = False  # whether it cannot work without motion between the frames
+    ordered: ClassVar[bool] = False  # whether frames follow each other in time, so that none may be missing in between
     #: Whether gain and offset correct the frames as they are, so that frames beside the burst can judge them.
     judged: ClassVar[bool] = False
-    #: Whether it solves several data sets together.
-    several: ClassVar[bool] = False
-    #: Whether data need not be pictures, where no motion is registered.
-    any_data: ClassVar[bool] = False
-    #: Frames that are enough to check a configuration; None: all.
-    checked_frames: ClassVar[int | None] = None
+    several: ClassVar[bool] = False  # whether it solves several data sets together
+    any_data: ClassVar[bool] = False  # whether data need not be pictures, where no motion is registered
+    checked_frames: ClassVar[int | None] = None  # frames that are enough to check a configuration; None: all
     #: Weight of the scene's penalties while the sensor is estimated, relative to that of the scene's own stage.
     sensor_weight: ClassVar[float] = 1.0
-    #: Operators that the physics must have.
-    operators: ClassVar[tuple[str, ...]] = ()
+    operators: ClassVar[tuple[str, ...]] = ()  # operators that the physics must have
     #: Imperfections that it estimates, by their registered names, in the order of their hooks.
     effect_names: ClassVar[tuple[str, ...]] = ()
 

@@ -51,8 +51,7 @@ LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
 #: in the offset.
 COMMON_SHARE = 0.15
 STEEP = 0.9  # quantile of the scene's slope, from which samples tell the error of the motion
-#: px, standard deviation of the motion along an axis, from which it tells what varies along it.
-MIN_MOTION = 0.1
+MIN_MOTION = 0.1  # px, standard deviation of the motion along an axis, from which it tells what varies along it
 CANDIDATES = 48  # frames that are registered to a reference, at most
 FRAMES = 24  # of a burst, at most
 MIN_LIKENESS = 0.4  # correlation with the frames that it is registered to, of a frame that is used
@@ -111,14 +110,7 @@ class Burst:
         down, across = ((factor * (side // factor) - side) / 2 for side in frames.shape[1:])
         scale = np.array([[factor, 0, across], [0, factor, down], [0, 0, 1.0]])
         motion = scale @ self.canvas.motion @ np.linalg.inv(scale)
-        whole = Burst(
-            frames,
-            usable,
-            motion,
-            self.reference,
-            curvature=self.curvature,
-            gains_differ=self.gains_differ,
-        )
+        whole = Burst(frames, usable, motion, self.reference, curvature=self.curvature, gains_differ=self.gains_differ)
         whole.levels, whole.gains = self.levels, self.gains
         return whole
 

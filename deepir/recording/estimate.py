@@ -259,11 +259,7 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
 
 
 def _estimate(
-    samples: _Samples,
-    solution: SensorSolution,
-    kept: str,
-    registered: tuple[Array, Array] | None = None,
-    **more: Any,
+    samples: _Samples, solution: SensorSolution, kept: str, registered: tuple[Array, Array] | None = None, **more: Any
 ) -> SensorEstimate:
     """The estimate, its bad pixels judged again by `registered` frames and what they should show, if there are any."""
     gain, offset, bad = solution.gain, solution.offset, samples.bad

@@ -29,8 +29,7 @@ ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating, the last alone in large frame
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
-#: Parameters of the motion in each round: a turning camera's, then a homography's.
-FREE_MOTION = (3, 3, 8, 8, 8)
+FREE_MOTION = (3, 3, 8, 8, 8)  # parameters of the motion in each round: a turning camera's, then a homography's
 #: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
 INTERPOLATION_NOISE = 0.05
 STEPS = 3  # of conjugate gradients in a round
@@ -108,11 +107,7 @@ def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | No
 
 
 def low_order_step(
-    bursts: Sequence[Burst | DisplacedFrames],
-    modes: LowOrderModes,
-    prior: PatternPrior,
-    offset: Array,
-    gain: Array,
+    bursts: Sequence[Burst | DisplacedFrames], modes: LowOrderModes, prior: PatternPrior, offset: Array, gain: Array
 ) -> tuple[Array, Array]:
     """Change the low-order part of an offset to its posterior mean; sets its strengths, and levels and gains of frames.
 

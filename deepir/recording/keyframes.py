@@ -24,17 +24,14 @@ Chosen = tuple[int, Array, int]  # number, frame (h, w), spacing
 
 GROUP_SIZE = 4  # frames of a group
 MAX_GROUPS = 32  # groups that are kept, at most
-#: Frames over which the motion is measured.
-WINDOW = 65
-#: Change of the scene within the spacing of a group, relative to that over the window.
-CHANGE_WITHIN_SPACING = 0.35
+WINDOW = 65  # frames over which the motion is measured
+CHANGE_WITHIN_SPACING = 0.35  # change of the scene within the spacing of a group, relative to that over the window
 #: Change since the last group, relative to that over the window, below which the camera stands and no group begins.
 MIN_CHANGE_OF_GROUP = 0.25
 MIN_CHANGE_OF_FRAME = 0.1  # the same since the last frame, below which the camera stands
 SPACINGS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32)  # frames
 SHORT_SIDE = 48  # px, shorter side of the averaged frames whose changes are measured
-#: Frames of a short recording, which is kept whole.
-SHORT = GROUP_SIZE * MAX_GROUPS
+SHORT = GROUP_SIZE * MAX_GROUPS  # frames of a short recording, which is kept whole
 #: Deviation of independent neighbours, relative to that of usual frames, and to that of all samples of the frame, above
 #: which it is no picture: samples that are drawn at random have one, grass and gravel through a lens 0.1 to 0.3.
 MAX_DETAIL_RATIO, MAX_INDEPENDENCE = 8.0, 0.7

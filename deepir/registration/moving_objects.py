@@ -33,12 +33,7 @@ from deepir.registration.motion_search import (
     search_level,
 )
 from deepir.registration.preprocess import Level, block_mean, sample
-from deepir.registration.robust_score import (
-    MIN_CLEAR_GAIN,
-    log_likelihood_ratio,
-    reregister_worst_frames,
-    robust_nll,
-)
+from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio, reregister_worst_frames, robust_nll
 from deepir.registration.shift_likelihood import ShiftLikelihood, integer_shifts, maximise
 
 

@@ -46,12 +46,7 @@ class Registration:
 
 @torch.no_grad()
 def register(
-    frames: Tensor,
-    *,
-    model: str = "rigid",
-    ignore: Tensor | None = None,
-    valid: Tensor | None = None,
-    start: int = 0,
+    frames: Tensor, *, model: str = "rigid", ignore: Tensor | None = None, valid: Tensor | None = None, start: int = 0
 ) -> Registration:
     """Register a burst under strong fixed-pattern noise.
 

@@ -43,8 +43,7 @@ class Surface:
     size: tuple[float, float]  # along and down, m
     velocity: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m/s
     rate: float = 0.0  # Hz
-    #: Order of cut-outs: one of a higher layer is behind all of a lower layer, whatever their depths.
-    layer: int = 0
+    layer: int = 0  # order of cut-outs: one of a higher layer is behind all of a lower layer, whatever their depths
 
     @property
     def cut(self) -> bool:

@@ -96,15 +96,13 @@ class Settings(Sensor):
 
     n_frames: int = 5  # frame 0 is the reference and does not move
     shape: tuple[int, int] = (160, 192)
-    #: Picture px per detector px, >= 1.2; None: the largest at which all frames fit.
-    scale: float | None = None
+    scale: float | None = None  # picture px per detector px, >= 1.2; None: the largest at which all frames fit
     factor: int = 1  # the truth's scene is on a grid so many times finer than the detector's
     motion: str = "rigid"  # shift, rigid, affine (+ 1 % stretch and shear), homography (+ 1 % keystone)
     max_shift: float = 10.0  # shifts are uniform in +- this along each axis, px
     max_rotation: float = 0.0  # rotations about the frame's centre are uniform in +- this, degrees
     jitter: str = "both"  # axis of the shifts: both, x, y
-    #: normal, or uniform: parts are U(1 - s, 1); U(v, 1) columns: gain_column = 1 - v
-    gain_distribution: str = "normal"
+    gain_distribution: str = "normal"  # normal, or uniform: parts are U(1 - s, 1); U(v, 1) columns: gain_column = 1 - v
     photons: float = 0.0  # photons in one range of flux at gain one (the paper's tau); 0: no photon noise
     row_noise: float = 0.0  # sigma of the row noise of each frame, fraction of the range
     column_noise: float = 0.0  # sigma of the column noise of each frame, fraction of the range
@@ -124,15 +122,12 @@ class Settings(Sensor):
     bolometer: bool = False  # gain, offset and tau's spread from the pixels' physics, not from the keys above
     housing_drift: float = 0.0  # flux that a warming housing adds on the axis, fraction of the range a second
     own_scenes: bool = False  # each frame is of a scene of its own, drawn or given; the camera is at rest
-    #: Px that the nearest moves more than the farthest in a frame that is shifted by max_shift.
-    parallax: float = 0.0
+    parallax: float = 0.0  # px that the nearest moves more than the farthest in a frame that is shifted by max_shift
     stray: float = 0.0  # flux in front of the sensor that is not the scene's, peak to peak, of the range
     stray_shape: str = "smooth"  # or radial (about an axis), ring (a ghost), edge (a polariser's reflection)
-    #: First dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px.
-    airy_radius: float = 0.0
+    airy_radius: float = 0.0  # first dark ring of the optics' diffraction, 1.22 wavelengths x f-number, detector px
     defocus_radius: float = 0.0  # radius of the disc that a point out of focus is seen as, detector px
-    #: Px that the camera moves, straight and evenly, during the exposure of each frame.
-    motion_blur: float = 0.0
+    motion_blur: float = 0.0  # px that the camera moves, straight and evenly, during the exposure of each frame
     motion_blur_angle: float = 0.0  # direction of that, from +x towards +y, degrees
     sharp: bool = False  # the truth's scene is without the optics' blur, as deconvolution is to find it
     counts: bool = False  # False: scene units, float32; True: 14-bit counts, rounded and clipped, uint16

@@ -34,8 +34,7 @@ RUN_FILES = (
 CONFIG_HEADER = "# deepir: the configuration of this run in full, as `deepir resume` reads it\n"
 
 
-#: Whether a lock is in place: not once its file, or a folder above it, was moved or deleted.
-Lock = Callable[[], bool]
+Lock = Callable[[], bool]  # whether a lock is in place: not once its file, or a folder above it, was moved or deleted
 
 
 @contextmanager

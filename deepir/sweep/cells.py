@@ -20,8 +20,7 @@ from deepir.runner import prepare
 from deepir.storage.folder import RunFolder
 from deepir.storage.stored import check_unchanged, input_digests, pin_config
 
-#: Axes over which medians are taken.
-REPEAT_AXES = ("seed", "data.simulate.seed")
+REPEAT_AXES = ("seed", "data.simulate.seed")  # axes over which medians are taken
 BURST_AXIS = "burst"  # key of the axis of bursts
 #: Files of a sweep, beside the folders of its cells.
 SWEEP_FILES = ("table.md", "table.csv", "quality.png", "report.html")

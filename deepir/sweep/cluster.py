@@ -27,10 +27,8 @@ LOOPBACK = "127.0.0.1"  # a scheduler runs whatever it is sent: nobody else may 
 SCHEDULER_TIMEOUT = "10s"  # time for a scheduler to answer
 #: Without Dask's MALLOC_TRIM_THRESHOLD_: returning memory after each operation costs most of the time.
 WORKER_ENVIRONMENT = {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1}
-#: One run at a time: torch's seed and the package's log belong to the process.
-PROCESS_LOCK = threading.Lock()
-#: Size of the frames by which a process is warmed up, px.
-WARM_UP_SHAPE = (40, 48)
+PROCESS_LOCK = threading.Lock()  # one run at a time: torch's seed and the package's log belong to the process
+WARM_UP_SHAPE = (40, 48)  # size of the frames by which a process is warmed up, px
 
 
 def run_cells(

@@ -236,8 +236,7 @@ def telemetry_message(rows: list[int], shape: tuple[int, int]) -> str:
     box = [above, height - len(rows) + above, 0, width]
     some = f"row {rows[0]} shows" if len(rows) == 1 else f"rows {', '.join(map(str, rows))} show"
     return Message(
-        "telemetry-rows",
-        f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off",
+        "telemetry-rows", f"{some} numbers and no picture (telemetry?): left out. data.crop={box} takes them off"
     )
 
 

@@ -124,10 +124,7 @@ def _parts(path: Path) -> list[bytes]:
 
 
 def read_records(
-    data: bytes | FileBytes,
-    path: Path,
-    start: int = 0,
-    kinds: tuple[int, ...] = (RAW_RECORD, CAMERA_RECORD),
+    data: bytes | FileBytes, path: Path, start: int = 0, kinds: tuple[int, ...] = (RAW_RECORD, CAMERA_RECORD)
 ) -> tuple[Records, int]:
     """Records of an FFF.
 

@@ -16,8 +16,7 @@ from deepir.live.page.views import Session
 MAX_REQUEST_BYTES = 4096  # of one message of a viewer
 CLOSING_TIME = 1  # s that viewers get at the end
 LOOPBACK = "127.0.0.1"
-#: An address of the documentation (RFC 5737): no packet is sent to it.
-ELSEWHERE = ("192.0.2.1", 9)
+ELSEWHERE = ("192.0.2.1", 9)  # an address of the documentation (RFC 5737): no packet is sent to it
 
 
 @contextmanager

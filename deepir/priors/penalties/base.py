@@ -81,8 +81,7 @@ class Penalty(nn.Module):
 class SpatiallyWeighted(Penalty):
     """A penalty that is a sum over pixels, each weighted by `weight_map`, (H, W), ones at first; () without a shape."""
 
-    #: Whether the weight map may be adapted to the scene.
-    adapts: ClassVar[bool] = True
+    adapts: ClassVar[bool] = True  # whether the weight map may be adapted to the scene
     weight_map: Tensor
 
     def __init__(self, shape: Shape | None = None, *, weight: float | None = None) -> None:

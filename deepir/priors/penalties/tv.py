@@ -106,8 +106,7 @@ class SmoothedNorm(SpatiallyWeighted):
 class TV(SmoothedNorm):
     """Isotropic total variation, `Σ |∇x|`, with forward differences (Rudin, Osher, Fatemi 1992); rounded."""
 
-    #: The best on the truth was 1 to 3 on eight pictures with 3, 5 and 10 frames.
-    scale = 1.6
+    scale = 1.6  # the best on the truth was 1 to 3 on eight pictures with 3, 5 and 10 frames
 
     def energy(self, value: Tensor) -> Tensor:
         """`Σ weight_map (sqrt(|∇x|² + e²) - e)`, with `e = rounding / weight`."""
