@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import autocorrelation
-
-Array = np.ndarray[Any, Any]
 
 #: Autocorrelation at which the correlation length is read; Saragadam et al. 2021.
 CORRELATION_LENGTH_LEVEL = 0.1

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32
 from deepir.config import Data
 from deepir.errors import ConfigError, DataError
@@ -35,7 +36,6 @@ from deepir.io.inspection.samples import (
 from deepir.io.radiometry import Radiometry, resolve_radiometry
 from deepir.messages import Message
 
-Array = np.ndarray[Any, Any]
 Truth = Array | Mapping[str, Any]  # the scene that is known, or arrays by name
 BAND_TRUTH = ("scene", "gain", "offset")  # arrays of a truth that each band has for itself
 PER_FRAME_TRUTH = ("motion", "level")  # arrays of a truth with one entry for each frame

@@ -6,11 +6,11 @@ import functools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32, pattern_outliers
 from deepir.errors import DataError
 from deepir.io import write_npz
@@ -20,7 +20,6 @@ from deepir.io.readers.numpy_arrays import read_npz
 MAX_GAIN_DEVIATION = 0.5  # deviation from the median gain, as a share of it, from which a pixel is bad
 MAX_BAD_SHARE = 0.5  # share of deviating pixels from which the recordings are not flat
 MAX_SATURATED_SHARE = 0.25  # share of pixels at an end of the range from which the surface is too cold or too hot
-Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.config.components import validate
 from deepir.config.schema import Data, Radiometry, Raw
 from deepir.errors import ConfigError, DataError
@@ -16,8 +17,6 @@ from deepir.io import cropped, stream_data
 from deepir.io.inspection.samples import oriented
 from deepir.recording.correct import CorrectedRecording
 from deepir.recording.estimate import SensorEstimate
-
-Array = np.ndarray[Any, Any]
 
 
 def sensor_of_burst(frames: Array) -> SensorEstimate:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from deepir.arrays import Array
+
 if TYPE_CHECKING:
     from deepir.problem import Problem, Values
-
-Array = np.ndarray[Any, Any]
 
 
 class RegisteredAverage:

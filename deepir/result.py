@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepir.arrays import Array
 from deepir.burst import Burst
 from deepir.config.schema import Config, Output
 from deepir.errors import DataError
@@ -21,8 +22,6 @@ from deepir.messages import Message
 from deepir.metrics import motion_error, scores
 from deepir.operators.warp import rescale_motion
 from deepir.paths import expanded
-
-Array = np.ndarray[Any, Any]
 
 
 def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from deepir.arrays import Array
 from deepir.operators.base import Operator
 
-Array = np.ndarray[Any, Any]
 Slots = Mapping[str, Tensor]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.windows import fill_nearest
 from deepir.assembly import build
 from deepir.burst import Burst
@@ -24,7 +25,6 @@ from deepir.pipeline.register import motion_messages, register_frames
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
-Array = np.ndarray[Any, Any]
 #: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
 Registration = tuple[torch.Tensor | None, Array, list[str]]
 State = TypeVar("State")

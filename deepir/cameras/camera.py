@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.errors import DataError
 
-Array = np.ndarray[Any, Any]
 MAX_REGISTRATION_SIDE = 160  # px; frames are reduced to at most this side before registration
 MIN_CAPTURE_SPAN = 3.0  # px of motion along each axis that a burst needs
 FREEZE_TIME = 0.4  # s without a new picture that indicate a shutter closure; export cameras send 9 Hz

@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.cameras.camera import Camera
 from deepir.cameras.camera import camera_frames as frames_of
 from deepir.cli.arguments import recording_radiometry
@@ -33,7 +34,6 @@ from deepir.registry import lookup
 if TYPE_CHECKING:
     from deepir.live.page.views import Session
 
-Array = np.ndarray[Any, Any]
 Sink = Callable[[CorrectedFrame], None]
 
 STANDARD = "-"  # in place of a file: standard input or output

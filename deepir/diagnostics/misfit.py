@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.messages import Message
-
-Array = np.ndarray[Any, Any]
 
 MIN_MISFIT = 0.012  # evidence from which a cause of a misfit is named, nats a sample; without one it is 0.006 at most
 RESIDUAL_CLIP_SIGMAS = 3.0  # residual at which samples are clipped, noise standard deviations

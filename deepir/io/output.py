@@ -14,6 +14,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
 from deepir.io.tone_mapping import (
@@ -27,7 +28,6 @@ from deepir.io.tone_mapping import (
 )
 
 PathLike = str | os.PathLike[str]
-Array = np.ndarray[Any, Any]
 Write = Callable[[Array], None]
 FILM_FRAME_RATE = 30  # frames a second of a film
 

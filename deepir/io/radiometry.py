@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.config import schema
 from deepir.errors import ConfigError, DataError
 from deepir.io.guards import warn_once
 
-Array = np.ndarray[Any, Any]
 ZERO_CELSIUS = 273.15  # K
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-Array = np.ndarray[Any, Any]
+from deepir.arrays import Array
+
 WHITE_HOT = "white-hot"  # the default palette
 PALETTES = (WHITE_HOT, "black-hot", "ironbow", "inferno", "magma", "turbo")  # palettes to choose from
 DEVIATIONS = "viridis"  # palette of standard deviations

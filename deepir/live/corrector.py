@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.recorder import LiveKeyframes
 from deepir.multiview.pattern_gradients import contains_pattern, removes_more
 from deepir.recording.segments import Segment
-
-Array = np.ndarray[Any, Any]
 
 MIN_QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
 MIN_KEYFRAMES = 48  # before an estimate of all: the low-order part needs more

@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 from platformdirs import user_data_path
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps, read_maps
 from deepir.errors import DataError
 from deepir.io.output import Write, output_type, tiff
 from deepir.recording.keyframes import WINDOW, KeyframeCollector, Keyframes, motion_spacing
-
-Array = np.ndarray[Any, Any]
 
 RESERVE = 200e6  # bytes of the disk that are left free
 PENDING = 32  # frames that wait to be written, at most

@@ -11,6 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.config.schema import Raw
 from deepir.errors import DataError
 from deepir.io.guards import import_optional
@@ -19,7 +20,6 @@ from deepir.io.tone_mapping import TONE_MAPPINGS, apply_palette
 from deepir.kernels import memory
 from deepir.live.corrector import Corrector, Status
 
-Array = np.ndarray[Any, Any]
 NO_DEVICE = (
     "no virtual camera: {}. On Linux load its driver: sudo modprobe v4l2loopback; on Windows and macOS install "
     "OBS Studio and start its virtual camera once"

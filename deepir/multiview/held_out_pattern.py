@@ -10,16 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA, block_means
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import RADIUS, Displacement, displacements, sampled
-
-Array = np.ndarray[Any, Any]
 
 MIN_KNOWN = 0.02  # share of the frame that has to be known to have moved
 SHORT_SIDE = 80  # shorter side, px, to which frames are averaged at least

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy import ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA, block_means
 from deepir.kernels.median_filter import median_filter
 from deepir.multiview.texture_flow import RADIUS, Displacement, coarsening, displacements, enlarged, sampled
-
-Array = np.ndarray[Any, Any]
 
 LOW_ORDER_SIGMA = 4.0  # standard deviation, px, of the Gaussian that takes the low-order part
 FINE_SIDE = 5  # side, px, of the windows whose median is taken off for the fine part

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from scipy import ndimage
 from torch import Tensor
 
+from deepir.arrays import Array
 from deepir.arrays.samples import block_means, pattern_outliers
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
@@ -20,8 +20,6 @@ from deepir.multiview.gradients import ColouredPixels, Edges, WhiteParts
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 from deepir.multiview.pattern_gradients import gradient_consensus, shares
 from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
-
-Array = np.ndarray[Any, Any]
 
 PAIRS = 5  # pairs of frames, half the recording apart, that are compared
 DETAIL = 5  # px, of the box average that is taken off for the fine part of what all frames share

@@ -13,17 +13,15 @@ Source: Weiss, "Deriving intrinsic images from image sequences", ICCV 2001, with
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.fft import dctn, idctn
 
+from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.kernels.compile import parallel_for
 from deepir.kernels.gradients import shared_gradients
-
-Array = np.ndarray[Any, Any]
 
 ITERATIONS = 6  # of reweighting at an edge
 PCG_STEPS, PCG_TOLERANCE = 15, 1e-4  # of the integration: at most, and residual relative to the start

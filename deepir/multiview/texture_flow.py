@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
+from deepir.arrays import Array
 from deepir.kernels import threads
 from deepir.kernels.median_filter import median_filter
 from deepir.kernels.optical_flow import box_sum, lucas_kanade, sample_bilinear
-
-Array = np.ndarray[Any, Any]
 
 RADIUS = 7  # px, half-width of a window
 ITERATIONS = 4  # Gauss-Newton steps on each level

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
 
+from deepir.arrays import Array
 from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.errors import DataError
@@ -23,8 +23,6 @@ from deepir.multiview.held_out_pattern import CorrectionScorer, ResidualPattern
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part
 from deepir.multiview.pattern import estimate_offset
 from deepir.result import Result, neutral
-
-Array = np.ndarray[Any, Any]
 
 #: Nats by which a simpler correction has to be likelier than the one that was found, for that to be given up.
 MARGIN = 10.0

@@ -13,16 +13,14 @@ import copy
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import fft, ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels import bspline
 from deepir.kernels.compile import parallel_for
-
-Array = np.ndarray[Any, Any]
 
 BORDER = 3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
 MIN_SEEN = 0.99  # of the spline's weight that lies on known canvas, so that a sample counts as predicted

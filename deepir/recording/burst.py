@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA, block_sums
 from deepir.errors import DataError
 from deepir.multiview.pattern_gradients import gradient_consensus
@@ -35,8 +35,6 @@ from deepir.recording.modes import (
     low_order_equations,
     mode_radius,
 )
-
-Array = np.ndarray[Any, Any]
 
 OUTLIER_SIGMAS = 3.0  # of residuals, scale of Cauchy's weights
 #: px, Gaussian over which residuals are averaged that set weights: those that change from pixel to pixel do not survive

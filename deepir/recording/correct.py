@@ -6,17 +6,16 @@ import functools
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.calibration import CorrectionMaps
 from deepir.io import write_npz
 from deepir.recording.estimate import SensorEstimate
 from deepir.recording.keyframes import Keyframes, choose_keyframes
 from deepir.recording.segments import Segment, estimate_segments, segment_at
 
-Array = np.ndarray[Any, Any]
 FEW = 10  # frames, of fewer of which all are needed, whatever they are worth
 
 

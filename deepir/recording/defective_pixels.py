@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA, mixed_deviation
 from deepir.kernels.compile import parallel_for
 from deepir.kernels.median_filter import median_filter
-
-Array = np.ndarray[Any, Any]
 
 FRAMES_OF_NOISE = 8  # that the noise is measured in
 FRAMES = 24  # of all, that are looked at

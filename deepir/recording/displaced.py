@@ -7,11 +7,11 @@ its way tells the low-order part of the offset; the fine part is what all frames
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA, block_sums, pattern_outliers
 from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
 from deepir.recording.defective_pixels import noise_deviation, of_neighbours
@@ -27,8 +27,6 @@ from deepir.recording.modes import (
     mode_radius,
     shared_share,
 )
-
-Array = np.ndarray[Any, Any]
 
 REFERENCES = 20  # frames that others are compared with, at most
 NEIGHBOURS = 6  # frames that each reference is compared with, at most

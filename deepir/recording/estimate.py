@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN, block_means, block_sums
 from deepir.calibration import CorrectionMaps
 from deepir.diagnostics.misfit import MIN_MISFIT, misfit
@@ -33,8 +34,6 @@ from deepir.recording.defective_pixels import (
 from deepir.recording.displaced import fine_part, low_order_part, solve_low_order
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes, spread
-
-Array = np.ndarray[Any, Any]
 
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 #: px, error of the motion from which frames do not register as a whole, if their residuals have a cause too: 0.05 to

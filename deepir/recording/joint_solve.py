@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import linalg
 
+from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.recording.burst import Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
@@ -23,7 +24,6 @@ from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior,
 if TYPE_CHECKING:
     from deepir.recording.displaced import DisplacedFrames
 
-Array = np.ndarray[Any, Any]
 
 ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating, the last alone in large frames; from which the gain is free
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly

@@ -14,11 +14,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32
 from deepir.io.guards import warn_once
 from deepir.recording.defective_pixels import noise_deviation
 
-Array = np.ndarray[Any, Any]
 T = TypeVar("T")
 Chosen = tuple[int, Array, int]  # number, frame (h, w), spacing
 

@@ -14,15 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import fft, ndimage
 
+from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN, block_sums
 from deepir.recording.alignment import centred, step_gradients, weighted_mean
-
-Array = np.ndarray[Any, Any]
 
 PSEUDO_COUNT = 2.0  # modes that the variance of a band so far counts as
 #: Modes of a period longer than this, in px, start with a variance that grows with the square of the period.

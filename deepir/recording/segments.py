@@ -6,10 +6,10 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
@@ -18,8 +18,6 @@ from deepir.multiview.pattern_gradients import contains_pattern, removes_more, s
 from deepir.recording.burst import CameraAtRestError
 from deepir.recording.estimate import SensorEstimate, estimate_sensor
 from deepir.recording.keyframes import Keyframes, spread
-
-Array = np.ndarray[Any, Any]
 
 WINDOW = 12  # keyframes on either side
 MIN_KEYFRAMES = 8  # between two jumps, and to the ends

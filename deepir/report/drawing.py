@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from deepir.arrays import Array
 from deepir.io.output import atomic_file
 from deepir.io.tone_mapping import DEVIATIONS, colour_table, display_limits, stretch
 
@@ -21,7 +22,6 @@ INK = "black"
 STEPS = (1, 2, 5, 10)  # between ticks, times a power of ten
 MAX_DECIMALS = 5  # of a label; beyond, and from a million on, it has an exponent
 COMPRESSION = 3  # of zlib: a third of the time of the default, for a tenth more
-Array = np.ndarray[Any, Any]
 LEFT, BOTTOM = 70, 56  # px for the numbers and the name of a scale
 SMOOTHING = 4  # lines are drawn that many times as large, and reduced
 COLOURS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd", "#8c564b", "#e377c2", "#7f7f7f")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.io.output import atomic_file, to_json_types
 from deepir.io.radiometry import KELVIN, unit_metadata
 from deepir.io.tone_mapping import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table, display_limits
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from deepir.result import Result
 
 WEB_FOLDER = Path(__file__).parent / "web"  # templates, scripts and styles
-Array = np.ndarray[Any, Any]
 #: Palettes of maps about a centre, of standard deviations and of masks.
 MAP_PALETTES = {"signed": SIGNED, "spread": DEVIATIONS, "mask": WHITE_HOT}
 MISSING_LEVEL = 65535  # level of samples that are not finite

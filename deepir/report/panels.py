@@ -10,6 +10,7 @@ import numpy as np
 from PIL import Image
 
 from deepir.analysis import CORRELATION_LENGTH_LEVEL, STABILITY_LEVEL
+from deepir.arrays import Array
 from deepir.io import atomic_file
 from deepir.io.tone_mapping import DEVIATIONS, SIGNED, WHITE_HOT, colour_table, stretch
 from deepir.report.drawing import COLOURS, Axes, Scale, composed, draw_colours, draw_map, map_height, write_figure
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 TOTAL_WIDTH = 1200  # px
 Panel = tuple[str, np.ndarray[Any, Any], float, float]
-Array = np.ndarray[Any, Any]
 SHOWN = (0.1, 0.5, 0.9)  # places in the recording of the frames shown
 PERCENTILES = (0.5, 99.5)  # of a picture's values, shown black and white
 PANEL_WIDTH = 460  # px

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deepir.arrays import Array
 from deepir.io.tone_mapping import PALETTES, WHITE_HOT
 from deepir.messages import NOTES, by_importance, labelled
 from deepir.paths import printable
@@ -16,8 +17,6 @@ from deepir.report.html import MAP_PALETTES, Verdict, colours, packed, warned, w
 if TYPE_CHECKING:
     from deepir.recording.correct import CorrectedRecording
     from deepir.recording.estimate import SensorEstimate
-
-Array = np.ndarray[Any, Any]
 
 
 def write_recording_report(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from deepir.arrays import Array
 from deepir.config import load
 from deepir.io import atomic_file
 from deepir.io.tone_mapping import SIGNED, WHITE_HOT
@@ -21,8 +22,6 @@ from deepir.report.drawing import composed, draw_map
 from deepir.runner import prepare
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, Cell
 from deepir.sweep.table import Group, Row, group_rows, write_text
-
-Array = np.ndarray[Any, Any]
 
 #: Metric -> heading, decimals, and whether more is better; None: neither.
 METRICS: dict[str, tuple[str, int, bool | None]] = {

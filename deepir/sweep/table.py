@@ -16,6 +16,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
+from deepir.arrays import Array
 from deepir.errors import ConfigError
 from deepir.io import atomic_file
 from deepir.paths import printable
@@ -23,7 +24,6 @@ from deepir.report.drawing import COLOURS, Axes, Scale, write_figure
 from deepir.report.html import write_page
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, SWEEP_FILES, Cell
 
-Array = np.ndarray[Any, Any]
 Spread = tuple[float, float, float]  # median, least and greatest
 
 FRAMES_AXIS = "data.frames"  # key of the axis of frame counts

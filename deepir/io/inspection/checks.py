@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import label
 
+from deepir.arrays import Array
 from deepir.errors import DataError
 from deepir.messages import Message
 
@@ -32,7 +33,6 @@ MAX_EQUAL_BLOCKS = 0.02  # share of them that repeat a neighbour's in the other 
 LISTED_FRAMES = 32  # that advice names one by one, at most
 MAX_REPEATING = 0.5  # share of frames that repeat rows, above which these rows stand still
 
-Array = np.ndarray[Any, Any]
 Mask = np.ndarray[Any, np.dtype[np.bool_]]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from PIL import Image
 from pydantic import BaseModel, ConfigDict, Field
 
+from deepir.arrays import Array
 from deepir.arrays.samples import as_float32
 from deepir.config.schema import Palette, Tones
 from deepir.io.output import save_tiff, to_json_types
@@ -28,7 +29,6 @@ from deepir.live.corrector import Corrector
 from deepir.live.recorder import Recorder
 from deepir.live.sources import CorrectedFrame
 
-Array = np.ndarray[Any, Any]
 Limits = tuple[float, float]
 
 JPEG_QUALITY = 90  # of 100: 150 kB for 640 x 480 px in colour
