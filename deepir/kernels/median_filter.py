@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 
-from deepir.arrays import Array
 from deepir.kernels.compile import compiled, parallel_for
+
+Array = np.ndarray[Any, Any]
 
 MIN_PARALLEL_PIXELS = 100_000  # of a picture, from which a second thread is faster
 
