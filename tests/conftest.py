@@ -66,6 +66,13 @@ def benchmarks(monkeypatch):
 
 
 @pytest.fixture
+def few_trials(monkeypatch):
+    """The solves within a start, which no setting shortens, take the same steps, less often."""
+    monkeypatch.setattr("deepir.problems.deblur_lag.TRIAL_ITERATIONS", 3)
+    monkeypatch.setattr("deepir.problems.optical_flow.LEVEL_ITERATIONS", 3)
+
+
+@pytest.fixture
 def small_nuc():
     """Makes a small burst with its problem: warp and sensor, gain and offset as parts, TV or ridge.
 

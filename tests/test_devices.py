@@ -16,18 +16,13 @@ from deepir.config import load
 from deepir.kernels import threads
 from deepir.optim.objective import objective
 from deepir.pipeline.schedule import make_recipe, plan
-from deepir.problems import deblur_lag, optical_flow
 from deepir.registry import components
 
 #: Difference of whole solves, relative to the range: rounding errors of float32 after some tens of iterations.
 ROUNDING = 2e-3
 
 
-@pytest.fixture(autouse=True)
-def few_trials(monkeypatch):
-    """The solves within a start take the same steps, less often."""
-    monkeypatch.setattr(deblur_lag, "TRIAL_ITERATIONS", 3)
-    monkeypatch.setattr(optical_flow, "LEVEL_ITERATIONS", 3)
+pytestmark = pytest.mark.usefixtures("few_trials")
 
 
 @pytest.fixture(

@@ -29,6 +29,7 @@ def frames(shared):
     return bursts[0] if shared else np.stack([burst[0] for burst in bursts])
 
 
+@pytest.mark.usefixtures("few_trials")
 @pytest.mark.parametrize(("problem", "prior"), CASES)
 def test_a_prior_runs_on_a_problem(problem, prior):
     shared = problem != "multiview_nuc"

@@ -21,11 +21,7 @@ PROBLEMS = ["super-resolution", "narcissus", "deconvolution", "thermal-lag", "fl
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
 
-@pytest.fixture(autouse=True)
-def few_trials(monkeypatch):
-    """The solves within a start take few iterations, as those of the stages do."""
-    monkeypatch.setattr("deepir.problems.deblur_lag.TRIAL_ITERATIONS", 3)
-    monkeypatch.setattr("deepir.problems.optical_flow.LEVEL_ITERATIONS", 3)
+pytestmark = pytest.mark.usefixtures("few_trials")
 
 
 @pytest.fixture
@@ -35,11 +31,11 @@ def working_folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def command(line, capfd):
-    """What `deepir ...` prints, on both streams."""
-    program, *arguments = shlex.split(SHAPE.sub("shape=[80,96]", line), comments=True)
+def command(line, capfd, shape="[80,96]"):
+    """What `deepir ...` prints, on both streams, for frames of that shape."""
+    program, *arguments = shlex.split(SHAPE.sub(f"shape={shape}", line), comments=True)
     assert program == "deepir"
-    quick = ["solver.max_iterations=3"] if arguments[0] in ("run", "analyze") else []
+    quick = ["solver.max_iterations=3"] if arguments[0] in ("run", "analyze") or "--burst" in arguments else []
     capfd.readouterr()
     status = main([*arguments, *quick])
     printed = "".join(capfd.readouterr())
@@ -81,10 +77,13 @@ def test_every_shipped_configuration_is_in_the_gallery():
 
 @pytest.mark.parametrize("name", SECTIONS)
 def test_the_gallery_runs(name, capfd, working_folder):
-    simulated, run = commands(re.search(r"^```sh\n(.*?)^```$", SECTIONS[name], re.MULTILINE | re.DOTALL)[1])
-    command(simulated, capfd)
+    text = SECTIONS[name].replace("n_frames=120", "n_frames=60")
+    simulated, run = commands(re.search(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)[1])
+    # The coarse camera of the two, whose field of view stays, sees the first one's.
+    shape = "[80,96]" if name == "two_cameras" else "[48,64]"
+    command(simulated, capfd, shape)
     assert run.split()[2] == name
-    command(run, capfd)
+    command(run, capfd, shape)
     assert (working_folder / f"runs/{name}/result.npz").exists()
 
 
@@ -97,7 +96,7 @@ def test_the_gallerys_pictures_are_small(name):
 def test_the_priors_that_are_shown_run(capfd, working_folder):
     ((_, text),) = shown(WHICH_PRIOR)
     for line in commands(text):
-        command(line, capfd)
+        command(line, capfd, "[48,64]")
     assert {path.name for path in (working_folder / "runs").iterdir()} == {"tv", "red", "tgv", "dip"}
 
 

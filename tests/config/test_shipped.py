@@ -30,6 +30,7 @@ PAIRS = dict.fromkeys(
 )
 
 
+@pytest.mark.usefixtures("few_trials")
 @pytest.mark.parametrize(("name", "prior"), PAIRS)
 def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, prior, tiny):
     config = load(name, [f"prior={prior}", "solver.max_iterations=2"])
