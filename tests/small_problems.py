@@ -1,8 +1,10 @@
-"""A small burst for each problem, which a few iterations solve."""
+"""A small burst for each problem, which a few iterations solve, and bursts of frames that are at hand."""
 
 import numpy as np
+import torch
 
 import deepir
+from deepir.burst import Burst
 from deepir.simulate import Settings, simulate
 
 SMALL = {"shape": (32, 40), "n_frames": 3}
@@ -16,6 +18,18 @@ PROBLEMS = {
     "flow": ([], {"shape": (48, 56), "parallax": 1.0, "n_frames": 4}),
     "multiview_nuc": ([], SMALL | {"own_scenes": True, "n_frames": 6}),
 }
+
+
+def whole(frames, **more):
+    """A burst of frames of which each sample counts."""
+    return Burst(frames.astype(np.float32), np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool), **more)
+
+
+def tiny():
+    """Three frames of 24 x 32 px, and their motion."""
+    motion = torch.eye(3, dtype=torch.float64).repeat(3, 1, 1)
+    motion[1:, :2, 2] = torch.tensor([[2.0, -1.0], [-1.5, 3.0]])
+    return whole(8000 + 100 * np.random.default_rng(0).random((3, 24, 32))), motion
 
 
 def frames_of(name):

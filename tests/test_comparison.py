@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
+from small_problems import whole
 
 import deepir
-from deepir.burst import Burst, load
+from deepir.burst import load
 from deepir.config import Data
 from deepir.io.radiometry import Linear
 from deepir.result import compare_to_truth, neutral
@@ -65,5 +66,5 @@ def test_without_a_truth_there_is_roughness_only():
     metrics = deepir.run("nuc", frames=frames, method="average").metrics
     assert metrics["roughness"] > 0
     assert not {"psnr", "gain_rmse", "motion_rmse"} & metrics.keys()
-    blank = Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool))
+    blank = whole(frames)
     assert compare_to_truth(neutral(frames[0], 4, (40, 48), blank.bad_pixels), blank) == {}

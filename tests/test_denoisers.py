@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import torch
+from small_problems import whole
 
 from deepir.assembly import build
-from deepir.burst import Burst
 from deepir.config import load
 from deepir.denoisers.packages import unit_range
 from deepir.estimation.prior_weight import weigh_scene
@@ -87,8 +87,7 @@ def test_red_gets_the_noise_of_the_scenes_pixels():
     # Sixteen frames show each px of a scene that is four times as fine once, with the noise of one frame.
     frames = np.random.default_rng(0).normal(0.5, 0.1, (16, 16, 20)).astype(np.float32)
     config = load("sr", ["physics.downsample.factor=4", "prior=pixels", "scene.penalties.red.first=2.0"])
-    burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((16, 20), bool))
-    problem, _ = build(config, burst, torch.eye(3, dtype=torch.float64).repeat(16, 1, 1))
+    problem, _ = build(config, whole(frames), torch.eye(3, dtype=torch.float64).repeat(16, 1, 1))
     problem.precision.copy_((problem.precision > 0) / 0.1**2)
     penalty = problem.penalties["scene"]["red"]
     weigh_scene(problem)

@@ -48,14 +48,9 @@ def modules():
         yield ".".join(parts).removesuffix(".__init__"), path
 
 
-@functools.cache
-def parsed(path):
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
 def imported(path, known):
     """Modules that a file imports when it runs: those for type checkers only are left out."""
-    tree = parsed(path)
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     hidden = {
         id(inner)
         for node in ast.walk(tree)
@@ -73,12 +68,17 @@ def imported(path, known):
             yield from (each.name for each in node.names)
 
 
+@functools.cache
+def imports():
+    """Of each module, what it imports of the package."""
+    known = dict(modules())
+    return {module: known.keys() & imported(path, known) for module, path in known.items()}
+
+
 def graph(of=lambda module: module):
-    known, found = dict(modules()), defaultdict(set)
-    for module, path in known.items():
-        for other in imported(path, known):
-            if other in known and of(module) != of(other):
-                found[of(module)].add(of(other))
+    found = defaultdict(set)
+    for module, others in imports().items():
+        found[of(module)] |= {of(other) for other in others} - {of(module)}
     return found
 
 

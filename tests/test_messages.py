@@ -9,6 +9,14 @@ from documentation import script
 from deepir.messages import MAX_SHOWN, NOTES, WARNINGS, Message, labelled, shown
 
 page = script("generated")
+#: Words of the method, in place of which a message says what is meant.
+OF_THE_AUTHOR = re.compile(
+    r"\b(nats?|blobs?|keyframes?|low-order|high-order|posteriors?|likelihoods?|evidence|homograph\w+|"
+    r"variance components?|elimination|preconditioner|dense displacements?|leverage|Gauss-Newton|L-BFGS)\b",
+    re.IGNORECASE,
+)
+#: Messages on settings that have these names.
+ABOUT_SETTINGS = {"network-without-fit"}
 
 EVERY_WAY = """
 raise DataError(f"{path}: holds {n:d} frames; take 3")
@@ -29,6 +37,12 @@ def found():
     return list(page.messages())
 
 
+@pytest.fixture(scope="module")
+def text():
+    """All warnings and notes with what they mean, and the texts of errors, as the reference lists them."""
+    return page.messages_page()
+
+
 def test_every_way_of_reporting_is_found(tmp_path, monkeypatch):
     (tmp_path / "some.py").write_text(EVERY_WAY)
     monkeypatch.setattr(page, "PACKAGE", tmp_path)
@@ -43,11 +57,16 @@ def test_every_way_of_reporting_is_found(tmp_path, monkeypatch):
     ]
 
 
-def test_every_message_of_the_code_is_on_the_page(found):
-    text = page.messages_page()
+def test_every_message_of_the_code_is_on_the_page(found, text):
     assert len(found) > 300
     assert not [each for each in found if not each.name and f"| {page._escaped(each.text)} |" not in text]
     assert not [each for each in found if each.name and f"[{each.name}]: " not in text]
+
+
+def test_a_message_needs_no_author(text):
+    sections = [each.partition("\n") for each in re.split(r"^### ", text, flags=re.MULTILINE)[1:]]
+    assert len(sections) >= len(WARNINGS | NOTES)
+    assert {name for name, _, said in sections if OF_THE_AUTHOR.search(said.split("\n## ")[0])} <= ABOUT_SETTINGS
 
 
 def test_every_name_is_explained_and_every_explanation_used(found):

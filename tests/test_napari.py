@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 import yaml
 
 import deepir
@@ -37,8 +36,3 @@ def test_other_files_are_left_to_other_readers(tmp_path):
 def test_the_manifest_names_the_reader():
     (command,) = yaml.safe_load(MANIFEST.read_text())["contributions"]["commands"]
     assert command["python_name"] == f"{reader.__module__}:{reader.__name__}"
-
-
-def test_npe2_accepts_the_manifest():
-    npe2 = pytest.importorskip("npe2")
-    assert npe2.PluginManifest.from_file(MANIFEST).contributions.readers

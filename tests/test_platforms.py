@@ -2,6 +2,7 @@
 
 import ast
 import concurrent.futures
+import functools
 import multiprocessing
 import re
 import subprocess
@@ -38,14 +39,14 @@ TEXT_MODE = re.compile(r"[rwxa+t]+")
 SOURCES = {path.relative_to(ROOT).as_posix(): path for path in sorted((ROOT / "deepir").rglob("*.py"))}
 
 
+@functools.cache
 def nodes(path):
     """All nodes of a file, but for what is done only where `hasattr` finds it."""
-    waiting = [ast.parse(path.read_text(encoding="utf-8"))]
-    while waiting:
-        node = waiting.pop()
-        yield node
+    found = [ast.parse(path.read_text(encoding="utf-8"))]
+    for node in found:
         if not (isinstance(node, ast.If) and "hasattr" in ast.unparse(node.test)):
-            waiting.extend(ast.iter_child_nodes(node))
+            found.extend(ast.iter_child_nodes(node))
+    return found
 
 
 def posix_only(node):

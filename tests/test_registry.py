@@ -9,26 +9,6 @@ from deepir.errors import ConfigError
 from deepir.registry import COMPONENT_MODULES, components, load_plugin, lookup, register, summary
 
 
-def test_each_kind_has_its_components():
-    wanted = {
-        "operator": "add blur downsample sensor warp",
-        "field": "affine column constant deep_decoder dip fourier gaussian grid homography kernel pixel pixels rigid "
-        "row shift siren wire",
-        "penalty": "hessian huber_tv l1 red ridge smooth tgv tv",
-        "denoiser": "cnn dct ffdnet nl_means wavelets",
-        "fidelity": "gaussian huber l1 poisson",
-        "effect": "bad_pixels moving_objects noise saturation vignetting",
-        "optimiser": "adam lbfgs",
-        "problem": "deconv generic nuc sr",
-        "method": "average bicubic joint",
-        "training": "denoiser",
-        "camera": "boson v4l2",
-    }
-    assert COMPONENT_MODULES.keys() == wanted.keys()
-    for kind, names in wanted.items():
-        assert set(names.split()) <= components(kind).keys()
-
-
 @pytest.mark.parametrize("kind", COMPONENT_MODULES)
 def test_every_component_says_in_a_line_what_it_is(kind):
     for name, component in components(kind).items():

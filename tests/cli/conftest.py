@@ -1,5 +1,7 @@
 import resource
-from contextlib import contextmanager
+import shutil
+from contextlib import chdir, contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -61,6 +63,22 @@ def nuc(deepir):
         return deepir("run", "nuc", "threads=1", "solver.max_iterations=3", *arguments)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def finished(burst, tmp_path_factory):
+    """The folder of a finished run, one that takes no solve."""
+    folder = tmp_path_factory.mktemp("finished")
+    burst.save(folder / "burst.npz")
+    with chdir(folder):
+        assert main(["run", "nuc", "threads=1", "data.path=burst.npz", "method=average"]) == 0
+    return folder / "runs/nuc"
+
+
+@pytest.fixture
+def averaged(finished, folder):
+    """The same run, in the working folder."""
+    return Path(shutil.copytree(finished, folder / "runs/nuc"))
 
 
 @pytest.fixture

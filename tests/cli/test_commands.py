@@ -15,7 +15,6 @@ from PIL import Image
 import deepir as package
 from deepir.cli import app
 from deepir.simulate import Settings, simulate
-from deepir.simulate.recording import RecordingSettings, simulate_recording
 
 COMMANDS = [each.name for each in app.registered_commands]
 
@@ -53,9 +52,9 @@ def test_a_burst_is_described_and_a_run_analysed_without_torch(folder):
 
 
 def test_a_recording_is_corrected_without_torch(folder):
-    recording = simulate_recording(RecordingSettings(kind="pan", n_frames=40, shape=(96, 112)), seed=1)
+    recording = simulate(None, Settings(n_frames=12, shape=(40, 48), counts=True), seed=0)
     np.savez("pan.npz", frames=recording.frames)
-    np.savez("flat.npz", frames=np.random.default_rng(0).normal(8000, 30, (4, 96, 112)))
+    np.savez("flat.npz", frames=np.random.default_rng(0).normal(8000, 30, (4, 40, 48)))
     code = (
         "import sys; sys.modules.update(torch=None, kornia=None); from deepir.cli import main; "
         "apply = ['apply', 'pan_corrected_maps.npz', 'pan.npz', '--output', 'a.tif']; "
@@ -148,8 +147,7 @@ def test_check_of_a_configuration_needs_no_file(deepir):
     assert "the simulated burst (seed 3), 4 frames of 40 x 48 px" in out
 
 
-def test_check_sees_a_former_run(deepir, nuc):
-    nuc("data.path=burst.npz", "method=average")
+def test_check_sees_a_former_run(deepir, averaged):
     assert "already contains a run (finished)" in deepir("check", "nuc")[1]
 
 

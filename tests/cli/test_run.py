@@ -35,13 +35,6 @@ def held(folder):
     return {path.name for path in folder.iterdir()}
 
 
-@pytest.fixture
-def averaged(nuc, folder):
-    """The folder of a finished run, one that takes no solve."""
-    assert nuc("data.path=burst.npz", "method=average")[0] == 0
-    return folder / "runs/nuc"
-
-
 def test_a_finished_run_leaves_its_files_and_every_array_on_its_grid(nuc, folder):
     status, out, _ = nuc("data.path=burst.npz", "data.truth=burst_truth.npz")
     assert status == 0

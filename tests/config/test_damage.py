@@ -6,11 +6,11 @@ import time
 
 import numpy as np
 import pytest
+import small_problems
 import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from deepir.burst import Burst
 from deepir.config import SHIPPED_CONFIGS, load, prior_names, shipped_names
 from deepir.config.components import options_schema
 from deepir.errors import DeepIRError
@@ -68,8 +68,7 @@ signs = st.text(alphabet="{}[]&*!|>-:?,#'\"%@ \nabc01${}<", max_size=80).map(str
 @pytest.fixture(scope="module")
 def burst():
     """Two frames of noise."""
-    frames = np.random.default_rng(0).random((2, 24, 32)).astype(np.float32)
-    return Burst(frames, np.ones(frames.shape, bool), np.zeros(frames.shape[1:], bool))
+    return small_problems.whole(np.random.default_rng(0).random((2, 24, 32)))
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,26 +1,14 @@
 """Everything that is shipped as YAML makes a problem."""
 
-import numpy as np
 import pytest
 import torch
+from small_problems import tiny
 
 from deepir.assembly import build
-from deepir.burst import Burst
 from deepir.config import SHIPPED_CONFIGS, headline, load, prior_names, shipped_names
 from deepir.optim.solve import solve
 from deepir.pipeline.schedule import plan
 from deepir.registry import lookup
-
-
-@pytest.fixture
-def tiny():
-    """Three frames of 24 x 32 px, and their motion."""
-    rng = np.random.default_rng(0)
-    frames = (8000 + 100 * rng.random((3, 24, 32))).astype(np.float32)
-    motion = torch.eye(3, dtype=torch.float64).repeat(3, 1, 1)
-    motion[1:, :2, 2] = torch.tensor([[2.0, -1.0], [-1.5, 3.0]])
-    return Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool)), motion
-
 
 #: Each configuration with its own prior and with TV, and one with all.
 PAIRS = dict.fromkeys(
@@ -32,10 +20,9 @@ PAIRS = dict.fromkeys(
 
 @pytest.mark.usefixtures("few_trials")
 @pytest.mark.parametrize(("name", "prior"), PAIRS)
-def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, prior, tiny):
+def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name, prior):
     config = load(name, [f"prior={prior}", "solver.max_iterations=2"])
-    burst, motion = tiny
-    problem, _ = build(config, burst, motion)
+    problem, _ = build(config, *tiny())
     definition = lookup("problem", config.problem)()
     definition.initialise(problem, seed=0)
     solution = solve(problem, plan(problem, definition, config))
@@ -47,9 +34,9 @@ def test_a_configuration_with_a_prior_makes_a_problem_that_a_solve_improves(name
 
 
 @pytest.mark.parametrize("name", [name for name in shipped_names() if name.startswith("paper/")])
-def test_the_2021_formulation_is_one_descent_that_draws_its_scene_once_an_iteration(name, tiny):
+def test_the_2021_formulation_is_one_descent_that_draws_its_scene_once_an_iteration(name):
     config = load(name, ["scene.width=4", "solver.max_iterations=3"])
-    problem, _ = build(config, *tiny)
+    problem, _ = build(config, *tiny())
     definition = lookup("problem", config.problem)()
     definition.initialise(problem, seed=0)
     before = {unknown: value.detach() for unknown, value in problem.values().items()}

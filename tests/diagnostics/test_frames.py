@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deepir
-from tests.effects.solved import burst, error, solved
+from tests.effects.solved import burst, error
 
 
 def closed(at):
@@ -23,11 +23,6 @@ def test_the_longer_part_is_used(at, used):
     assert any(f"between frames {at - 1} and {at}" in message for message in result.messages)
     if used[0] == 0:
         assert error(result, sim) < 0.03 * sim.settings.contrast
-
-
-@pytest.mark.parametrize("seed", [2, 3])
-def test_a_burst_of_one_pattern_is_used_whole(seed):
-    assert solved(seed=seed, n_frames=8)[0].frames_used.all()
 
 
 def test_a_camera_that_rests_in_two_places_is_no_shutter():

@@ -60,9 +60,13 @@ def test_each_cause_has_the_most_evidence_for_its_own_fault(kind, seed):
     assert (message.name if nats > MIN_MISFIT else "") == kind
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_a_burst_without_a_fault_has_no_message(seed):
-    assert named(solved(seed=seed, **CAMERA)[0]) == []
+@pytest.mark.parametrize(
+    ("seed", "camera"), [(3, CAMERA), (4, CAMERA | {"n_frames": 8, "shading": 0.1, "dead_pixels": 0.002})]
+)
+def test_a_burst_without_a_fault_has_no_message_and_is_used_whole(seed, camera):
+    result, _ = solved(seed=seed, **camera)
+    assert result.messages == []
+    assert result.frames_used.all()
 
 
 def test_a_cloud_that_moves_by_itself_is_reported():

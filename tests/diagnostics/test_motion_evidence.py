@@ -12,7 +12,6 @@ from deepir.diagnostics.fit import scene_period
 from deepir.metrics import scores
 from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import sky
-from tests.effects.solved import solved
 
 X = np.mgrid[:400, :400][1]
 FENCE = 0.1 + 0.8 * (X % 8 < 4)
@@ -76,11 +75,6 @@ def test_a_camera_that_rests_before_somebody_who_walks_is_reported():
     for k, frame in enumerate(frames):
         frame[14:66, 6 + 9 * k : 20 + 9 * k] += 500
     assert looks_like_a_picture(deepir.run("nuc", frames=frames, threads=1))
-
-
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_the_pattern_of_a_camera_that_moves_is_none(seed):
-    assert not looks_like_a_picture(solved(seed=seed, shape=(96, 128), shading=0.1, dead_pixels=0.002)[0])
 
 
 def test_dust_on_the_window_is_no_picture():

@@ -1,14 +1,13 @@
 """What no frame sees of the scene goes on smoothly from what is seen beside it."""
 
-import numpy as np
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from small_problems import whole
 
 import deepir
 from deepir.arrays.windows import fill_pull_push
 from deepir.assembly import build
-from deepir.burst import Burst
 from deepir.config import load
 from deepir.effects.outliers import fill_unobserved
 from deepir.simulate import Settings, simulate
@@ -37,8 +36,7 @@ def test_stripes_that_end_at_the_edge_do_not_go_on():
 def test_frames_show_the_same_before_and_after():
     sim = simulate(None, Settings(n_frames=4, shape=(60, 70), max_shift=8.0), seed=1)
     motion = torch.from_numpy(sim.truth.motion)
-    whole = np.ones(sim.frames.shape, bool)
-    problem, _ = build(load("nuc"), Burst(sim.frames, whole, ~whole[0]), motion)
+    problem, _ = build(load("nuc"), whole(sim.frames), motion)
     scene = problem.fields["scene"]
     with torch.no_grad():
         scene.init_from(torch.rand(scene.shape, generator=torch.Generator().manual_seed(0)))

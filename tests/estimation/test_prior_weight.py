@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.ndimage import gaussian_filter
+from small_problems import whole
 
 import deepir
 from deepir.assembly import build
-from deepir.burst import Burst
 from deepir.config import load
 from deepir.estimation.prior_weight import (
     WEIGHT_REDUCTION,
@@ -29,10 +29,7 @@ NOISE = 0.01
 
 def problem_of(scene, *settings):
     """Five frames that do not move, of which the scene is known to `NOISE`."""
-    whole = np.ones((5, *scene.shape), bool)
-    found, _ = build(
-        load("nuc", settings), Burst(np.stack([scene] * 5), whole, ~whole[0]), torch.eye(3).repeat(5, 1, 1)
-    )
+    found, _ = build(load("nuc", settings), whole(np.stack([scene] * 5)), torch.eye(3).repeat(5, 1, 1))
     found.precision.fill_(1 / (5 * NOISE**2))
     margin = [(each - side) // 2 for each, side in zip(found.fields["scene"].shape[-2:], scene.shape, strict=True)]
     with torch.no_grad():

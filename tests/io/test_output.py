@@ -153,17 +153,6 @@ def test_a_recording_keeps_its_type_where_that_can_hold_it():
         assert output.output_type(np.dtype(dtype), rounded=rounded) == np.float32
 
 
-def test_a_broken_off_recording_leaves_nothing(tmp_path, burst):
-    def broken():
-        with output.tiff(tmp_path / "a.tif", np.dtype(np.uint16), {}) as write:
-            write(burst[0])
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        broken()
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize("tones", ["percentile", "clahe"])
 def test_a_film_can_be_looked_at(tmp_path, tones):
     pytest.importorskip("av")

@@ -7,16 +7,14 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
+from knowing import Knowing
 from PIL import Image
 
 from deepir.live.corrector import Corrector
-from deepir.live.estimation import SynchronousEstimator
 from deepir.live.page.server import serve
 from deepir.live.page.views import Session
 from deepir.live.recorder import Recorder
 from deepir.live.sources import play
-from deepir.recording.estimate import SensorEstimate
-from deepir.recording.segments import Segment
 
 pytest.importorskip("uvicorn", reason="no uvicorn: pip install 'deepir[live]'")
 connect = pytest.importorskip("websockets.sync.client", reason="no websockets: as uvicorn").connect
@@ -41,25 +39,11 @@ def frames(pattern):
     return (scenes + pattern + rng.normal(0, 3, scenes.shape)).round().astype(np.uint16)
 
 
-class Knowing(SynchronousEstimator):
-    """Takes no time to estimate: it knows the pattern."""
-
-    def __init__(self, pattern):
-        super().__init__()
-        self.estimate = SensorEstimate(
-            np.ones_like(pattern), pattern, np.zeros(pattern.shape, bool), 8000.0, None, "offset", {}
-        )
-
-    def submit(self, chosen, *, quick, former):
-        numbers = chosen.numbers
-        self._found = Segment(int(numbers[0]), int(numbers[-1]), self.estimate)
-
-
 class Live:
     """A session of which a test shows frame after frame."""
 
     def __init__(self, frames, pattern, folder):
-        self.corrector = Corrector(estimator=Knowing(pattern))
+        self.corrector = Corrector(estimator=Knowing(np.ones_like(pattern), pattern, np.zeros(pattern.shape, bool)))
         self.recorder = Recorder(folder / "recordings")
         self.session = Session(self.corrector, self.recorder, title="drive.avi")
         self.corrected = play(itertools.cycle(frames), self.corrector)

@@ -1,4 +1,4 @@
-"""The algebra of linear maps, and that of SciPy and PyLops."""
+"""The algebra of linear maps, and that of SciPy."""
 
 import numpy as np
 import pytest
@@ -113,9 +113,3 @@ def test_a_chain_is_inverted_by_scipy():
     found = lsqr(matrix, frames.flatten().numpy(), atol=1e-10, btol=1e-10, iter_lim=3000)[0]
     assert matrix @ found == pytest.approx(frames.flatten().numpy(), abs=1e-4)
     assert matrix.dtype == np.float64
-
-
-def test_pylops_takes_it():
-    pylops = pytest.importorskip("pylops")
-    matrix = pylops.LinearOperator(blurs()[0].as_scipy())
-    assert pylops.utils.dottest(matrix, *matrix.shape, rtol=1e-8)

@@ -9,7 +9,7 @@ from scipy import signal
 from scipy.interpolate import BSpline
 from skimage.measure import block_reduce
 
-from deepir.operators import Blur, Downsample, Lag, Operator, Sensor, Warp
+from deepir.operators import Blur, Downsample, Lag, Operator, Warp
 from deepir.registry import components
 from deepir.testing import check_operator
 
@@ -192,12 +192,6 @@ def test_a_large_kernel_still_sees_one_invalid_pixel():
     mask = torch.ones(1, 1, 151, 151)
     mask[0, 0, 75, 75] = 0
     assert Blur(radius=60).valid(mask, psf=torch.ones(1, 1, 121, 121)).sum() == 0
-
-
-def test_the_sensor_of_neutral_slots_changes_nothing():
-    x = torch.rand(3, 1, 4, 5)
-    shapes = Sensor().slots(x.shape, 3)
-    assert torch.equal(Sensor()(x, **{n: torch.full(s, Sensor.neutral[n]) for n, s in shapes.items()}), x)
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ import functools
 import numpy as np
 import pytest
 import torch
+from small_problems import tiny
 
 import deepir
 from deepir.assembly import build
-from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError, DeepIRError
 from deepir.optim.solve import solve
@@ -64,16 +64,11 @@ def test_rounds_denoise_again(run):
 
 @pytest.mark.parametrize("prior", ["dip", "tgv", "red"])
 def test_a_solve_that_is_interrupted_in_the_priors_stage_ends_the_same(tmp_path, prior):
-    rng = np.random.default_rng(0)
-    frames = (8000 + 100 * rng.random((3, 24, 32))).astype(np.float32)
-    motion = torch.eye(3, dtype=torch.float64).repeat(3, 1, 1)
-    motion[1:, :2, 2] = torch.tensor([[2.0, -1.0], [-1.5, 3.0]])
-    data = Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool))
     config = load("nuc", [f"prior={prior}", "solver.max_iterations=12"])
 
     def once(callbacks=(), checkpoint=None):
         torch.manual_seed(0)
-        problem, _ = build(config, data, motion)
+        problem, _ = build(config, *tiny())
         definition = lookup("problem", "nuc")()
         definition.initialise(problem, seed=0)
         stages = plan(problem, definition, config)

@@ -58,11 +58,16 @@ def test_a_false_slope_is_taken_out(drive, beside):
     assert kept.messages[1:] == ["of the frames"]
 
 
-@pytest.mark.parametrize("beside", [True, False])
-def test_a_low_order_part_without_evidence_and_registration_is_left_to_the_scenes(beside):
-    """The camera drives; the estimate has taken a slope of the scenes for the sensor's."""
+@pytest.fixture(scope="module")
+def film():
+    """Of a camera that drives."""
     settings = RecordingSettings(n_frames=48, frame_rate=16, shape=(64, 80), shutter_every=60.0)
-    film = simulate_recording(settings, seed=1)
+    return simulate_recording(settings, seed=1)
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_low_order_part_without_evidence_and_registration_is_left_to_the_scenes(film, beside):
+    """The estimate has taken a slope of the scenes for the sensor's."""
     level = film.frames.mean()
     slope = 15 * film.truth.noise * np.linspace(-1, 1, 64)[:, None]
     offset = film.truth.offset.mean(0) + (film.truth.gain - 1) * level + slope

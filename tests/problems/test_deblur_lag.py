@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from small_problems import whole
 
 import deepir
 from deepir.assembly import build
-from deepir.burst import Burst
 from deepir.config import load
 from deepir.errors import ConfigError
 from deepir.metrics import scores
@@ -53,8 +53,7 @@ def test_the_motion_is_where_the_camera_was_and_not_where_the_frames_tails_are(s
 def along(motion):
     """A problem of empty frames, whose camera moves so."""
     frames = np.zeros((len(motion), 24, 32), np.float32)
-    burst = Burst(frames, np.ones(frames.shape, bool), np.zeros((24, 32), bool))
-    return build(load("deblur_lag", ["physics.warp.motion=shift"]), burst, motion)[0]
+    return build(load("deblur_lag", ["physics.warp.motion=shift"]), whole(frames), motion)[0]
 
 
 def test_the_start_takes_the_lag_out_of_the_registered_motion():
@@ -73,6 +72,7 @@ def test_the_start_takes_the_lag_out_of_the_registered_motion():
     assert torch.allclose(problem.fields["motion"]().double(), true, atol=1e-5)
 
 
+@pytest.mark.usefixtures("few_trials")
 def test_a_frame_that_fails_in_between_is_bridged(sim):
     frames = sim.frames.copy()
     frames[3] = np.random.default_rng(0).integers(7900, 9500, CAMERA.shape)
@@ -102,14 +102,11 @@ def test_a_camera_that_jumps_is_not_helped_by_sub_steps(far, remedy):
     assert remedy in message
 
 
-def test_a_camera_that_is_too_fast_for_the_sub_steps_is_noticed(sim):
-    result = deepir.run("deblur_lag", "physics.lag.substeps=1", frames=sim.frames, **QUICK)
-    assert any("take physics.lag.substeps=" in message for message in result.messages)
-
-
-def test_time_constants_can_be_given_or_each_pixels_own(sim):
-    known = deepir.run("deblur_lag", "physics.lag.tau=9.5", frames=sim.frames, **QUICK)
+@pytest.mark.usefixtures("few_trials")
+def test_time_constants_can_be_given_or_each_pixels_own_and_too_few_sub_steps_are_noticed(sim):
+    known = deepir.run("deblur_lag", "physics.lag.tau=9.5", "physics.lag.substeps=1", frames=sim.frames, **QUICK)
     assert (known.extra["tau"] == 9.5).all()
+    assert any("take physics.lag.substeps=" in message for message in known.messages)
     own = "physics.lag.tau={type: uniform+pixel, init: 10, pixel: {sigma: 1}}"
     assert deepir.run("deblur_lag", own, frames=sim.frames, **QUICK).extra["tau"].std() > 0
 

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from cameras import clean
 from scipy import signal
 from skimage import data
 from skimage.restoration import richardson_lucy, wiener
@@ -14,20 +15,13 @@ from deepir.errors import ConfigError
 from deepir.estimation.psf_from_spectrum import fit_psf, spectral_noise
 from deepir.fields.psf import Airy, Defocus, Gaussian, MotionBlur
 from deepir.metrics import scores
-from deepir.simulate import Settings, simulate
+from deepir.simulate import simulate
 from deepir.simulate.scenes.procedural import procedural
-
-CLEAN = dict.fromkeys(
-    ["gain_pixel", "gain_column", "offset_pixel", "offset_column", "offset_row", "shading", "dead_pixels"],
-    0.0,
-)
 
 
 def camera(picture=None, **more):
     """A frame of 80 x 96 px with noise 30 dB below its standard deviation, and a truth without blur."""
-    settings = Settings(
-        **CLEAN | {"n_frames": 1, "shape": (80, 96), "sharp": True, "read_noise": 0.0, "psf_sigma": 1.5} | more
-    )
+    settings = clean(**{"n_frames": 1, "shape": (80, 96), "sharp": True, "psf_sigma": 1.5} | more)
     picture = procedural(5, (430, 500)) if picture is None else picture
     noise = float(simulate(picture, settings, seed=3).frames[0].std()) * 10**-1.5
     return simulate(picture, dataclasses.replace(settings, read_noise=noise), seed=3)

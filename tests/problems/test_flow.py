@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from small_problems import whole
 
 import deepir
 from deepir.errors import ConfigError
@@ -97,7 +98,6 @@ def test_one_motion_of_the_whole_frame_is_refused(sim):
 
 
 def test_an_interrupted_run_goes_on_to_the_same_result(sim, tmp_path, quick):
-    from deepir.burst import Burst
     from deepir.config import load
     from deepir.pipeline.reconstruct import joint
 
@@ -106,11 +106,10 @@ def test_an_interrupted_run_goes_on_to_the_same_result(sim, tmp_path, quick):
             raise InterruptedError
 
     config = load("flow", [], QUICK)
-    size = sim.frames.shape
-    burst = Burst(sim.frames.astype(np.float32), np.ones(size, bool), np.zeros(size[1:], bool), "test")
-    whole = joint(burst, config)
+    burst = whole(sim.frames)
+    wanted = joint(burst, config)
     with pytest.raises(InterruptedError):
         joint(burst, config, callbacks=[at_the_second_flow], checkpoint=FileCheckpoint(tmp_path / "state"))
     resumed = joint(burst, config, checkpoint=FileCheckpoint(tmp_path / "state"))
-    assert np.array_equal(resumed.extra["flow"], whole.extra["flow"])
-    assert np.array_equal(resumed.scene, whole.scene)
+    assert np.array_equal(resumed.extra["flow"], wanted.extra["flow"])
+    assert np.array_equal(resumed.scene, wanted.scene)

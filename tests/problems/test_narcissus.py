@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from small_problems import whole
 
 import deepir
 from deepir.assembly import build
@@ -171,9 +172,8 @@ def test_stray_flux_that_is_free_at_each_pixel_is_refused():
 
 def stages(*settings):
     sim = record("smooth", n_frames=5)
-    burst = Burst(sim.frames.astype(np.float32), np.ones(sim.frames.shape, bool), np.zeros((64, 80), bool))
     motion = torch.eye(3, dtype=torch.float64).repeat(5, 1, 1)
-    problem, _ = build(load("narcissus", settings), burst, motion)
+    problem, _ = build(load("narcissus", settings), whole(sim.frames), motion)
     return {stage.name: stage for stage in Narcissus().plan(problem)}
 
 

@@ -48,6 +48,22 @@ def walk() -> Walk:
     return Walk(frames, scenes, gain, fine - fine.mean(), slow - slow.mean(), bad)
 
 
+@pytest.fixture
+def estimated_once(monkeypatch):
+    """The same keyframes are estimated once: for tests of the ways to them."""
+    from deepir.recording import segments
+
+    known, estimate = {}, segments.estimate_sensor
+
+    def of(keyframes, *, former=None, jumps=()):
+        key = (keyframes.frames.tobytes(), keyframes.numbers.tobytes(), id(former), tuple(jumps))
+        if key not in known:
+            known[key] = estimate(keyframes, former=former, jumps=jumps)
+        return known[key]
+
+    monkeypatch.setattr(segments, "estimate_sensor", of)
+
+
 @pytest.fixture(scope="session")
 def corrected(walk):
     """Every second frame of the walk, corrected by themselves."""

@@ -80,9 +80,9 @@ def test_the_pattern_of_a_camera_that_moves_is_found(walk, corrected):
 
 
 def test_a_person_who_walks_through_is_noted(walk, corrected):
-    frames = walk.frames.copy()
+    frames = walk.frames[::2].copy()
     for k, frame in enumerate(frames):
-        frame[50:80, k : k + 8] += 300
+        frame[50:80, 2 * k : 2 * k + 8] += 300
     messages = (corrected.estimate.messages, correct(frames).estimate.messages)
     assert [any("moves by itself" in each for each in some) for some in messages] == [False, True]
 

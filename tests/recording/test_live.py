@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from knowing import Knowing
 
 from deepir.calibration import CorrectionMaps
 from deepir.cameras.camera import camera_frames
@@ -24,22 +25,9 @@ def corrector():
         yield made
 
 
-class Knowing(SynchronousEstimator):
-    """Takes no time to estimate: it knows the pattern."""
-
-    def __init__(self, walk):
-        super().__init__()
-        self.estimate = SensorEstimate(
-            walk.gain, walk.fine + walk.slow, walk.bad, 8000.0, None, "gain", motion_error=0.0
-        )
-
-    def submit(self, chosen, *, quick, former):
-        self._found = Segment(int(chosen.numbers[0]), int(chosen.numbers[-1]), self.estimate)
-
-
 @pytest.fixture
 def quick_corrector(walk):
-    with Corrector(estimator=Knowing(walk)) as made:
+    with Corrector(estimator=Knowing(walk.gain, walk.fine + walk.slow, walk.bad)) as made:
         yield made
 
 
@@ -52,13 +40,27 @@ def left(frames, scenes, walk):
     return np.std(np.mean(np.asarray(frames, np.float64) - scenes, 0)[~walk.bad])
 
 
-def test_the_pattern_goes_while_the_camera_moves(walk, corrector):
+def test_the_pattern_goes_while_the_camera_moves_and_another_is_noticed_and_learned_anew(walk, corrector):
+    """As after a closure of the shutter."""
     corrected = [corrector(frame) for frame in walk.frames]
     assert all(frame.dtype == np.float32 for frame in corrected)
     assert np.array_equal(corrected[0], walk.frames[0])
     assert corrector.status.estimates >= 2
     assert corrector.status.correcting
     assert left(corrected[-20:], walk.scenes[-20:], walk) < 0.3 * left(walk.frames[-20:], walk.scenes[-20:], walk)
+    other = np.random.default_rng(3).permutation(walk.fine.ravel()).reshape(walk.fine.shape)
+    back_and_forth = [*range(119, -1, -1), *range(60)]
+    changed = (walk.frames - walk.fine + other)[back_and_forth]
+    corrected, fitted = [], []
+    for frame in changed:
+        corrected.append(corrector(frame))
+        fitted.append(corrector.status.fits)
+    noticed = fitted.index(False)
+    assert noticed < 3 * CHECK_INTERVAL
+    assert np.array_equal(corrected[noticed], changed[noticed].astype(np.float32))
+    assert corrector.status.correcting
+    scenes = walk.scenes[back_and_forth][-20:]
+    assert left(corrected[-20:], scenes, walk) < 0.5 * left(changed[-20:], scenes, walk)
 
 
 def test_nothing_is_learned_while_the_camera_stands_still(walk, corrector):
@@ -83,28 +85,6 @@ def test_maps_of_an_earlier_day_are_taken_at_once_if_they_fit(walk):
         with Corrector(given, estimator=SynchronousEstimator()) as corrector:
             assert np.array_equal(corrector(frame), expected)
             assert corrector.status.correcting == (given is maps)
-
-
-def test_another_pattern_is_noticed_and_learned_anew(walk, corrector):
-    """As after a closure of the shutter."""
-    other = np.random.default_rng(3).permutation(walk.fine.ravel()).reshape(walk.fine.shape)
-    back_and_forth = [*range(119, -1, -1), *range(60)]
-    changed = (walk.frames - walk.fine + other)[back_and_forth]
-    for frame in walk.frames:
-        corrector(frame)
-        if corrector.status.correcting:
-            break
-    assert corrector.status.correcting
-    corrected, fitted = [], []
-    for frame in changed:
-        corrected.append(corrector(frame))
-        fitted.append(corrector.status.fits)
-    noticed = fitted.index(False)
-    assert noticed < 3 * CHECK_INTERVAL
-    assert np.array_equal(corrected[noticed], changed[noticed].astype(np.float32))
-    assert corrector.status.correcting
-    scenes = walk.scenes[back_and_forth][-20:]
-    assert left(corrected[-20:], scenes, walk) < 0.5 * left(changed[-20:], scenes, walk)
 
 
 def test_new_maps_fade_in(walk):
@@ -189,7 +169,7 @@ class Waiting(Knowing):
 
 
 def test_frames_do_not_wait_for_an_estimate(walk):
-    with Corrector(estimator=Waiting(walk)) as corrector:
+    with Corrector(estimator=Waiting(walk.gain, walk.fine + walk.slow, walk.bad)) as corrector:
         for frame in walk.frames[: WINDOW + 10]:
             assert np.array_equal(corrector(frame), frame)
 

@@ -8,7 +8,7 @@ import deepir
 METHOD = "method=recording"
 
 
-def test_a_run_is_what_correct_finds_with_a_report_and_lost_samples_do_not_count(walk, tmp_path):
+def test_a_run_is_what_correct_finds_with_a_report_and_lost_samples_do_not_count(walk, tmp_path, estimated_once):
     frames = walk.frames[::4].astype(np.float32)
     frames[3:6, 40:60, 50:80] = np.nan
     result = deepir.run("recording", METHOD, f"output.dir={tmp_path / 'run'}", frames=frames)

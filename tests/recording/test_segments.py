@@ -88,7 +88,7 @@ def test_a_recording_without_any_part_to_correct_is_refused(walk):
         correct(still)
 
 
-def test_a_turned_or_raw_recording_is_corrected_from_python(walk, tmp_path):
+def test_a_turned_or_raw_recording_is_corrected_from_python(walk, tmp_path, estimated_once):
     frames = walk.frames[:12, :64, :80]
     turned = np.ascontiguousarray(frames.transpose(1, 2, 0))
     wanted = correct(frames).frames

@@ -40,6 +40,14 @@ def test_no_flipped_bit_is_taken_for_another_state(saved):
             assert is_whole(saved.load())  # a bit of the header's padding
 
 
+def test_a_state_that_is_cut_off_is_refused(saved):
+    whole = saved.path.read_bytes()
+    for length in (0, 8, len(whole) // 2, len(whole) - 1):
+        saved.path.write_bytes(whole[:length])
+        with pytest.raises(DataError):
+            saved.load()
+
+
 def test_a_state_of_another_run_is_refused(saved):
     with pytest.raises(DataError, match="of other frames, another configuration or another version"):
         FileCheckpoint(saved.path, "another").load()

@@ -131,6 +131,23 @@ def test_a_run_that_takes_its_worker_down_each_time_is_given_up():
     assert _failure(ValueError("not\nthis")) == "ValueError: not this"
 
 
+def test_the_scheduler_is_asked_to_listen_on_this_machine_only(monkeypatch):
+    pytest.importorskip("distributed")
+    from deepir.sweep import cluster
+
+    given = {}
+
+    def asked(**how):
+        given.update(how)
+        raise InterruptedError
+
+    monkeypatch.setattr(cluster, "LocalCluster", asked)
+    with pytest.raises(InterruptedError), cluster._client(1, None):
+        pass
+    assert (given["host"], given["dashboard_address"]) == ("127.0.0.1", "127.0.0.1:0")
+
+
+@pytest.mark.slow
 def test_nobody_else_reaches_the_scheduler_and_its_workers():
     pytest.importorskip("distributed")
     from deepir.sweep.cluster import _client

@@ -110,6 +110,7 @@ def test_its_stiffness_is_that_of_its_second_derivatives():
 
 def test_training_goes_down_the_slope_of_its_minimum(monkeypatch):
     monkeypatch.setattr(foe, "LBFGS_ITERATIONS", 150)  # as near to the minimum as the slope is asked for
+    monkeypatch.setattr(foe, "BURSTS_PER_ITERATION", 3)
     torch.manual_seed(0)
     network = Experts()
     # Bursts that come near: of others how far depends on the threads and the processor.
