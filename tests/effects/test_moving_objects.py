@@ -75,9 +75,10 @@ def test_who_walks_through_five_frames_is_said_and_shown_and_costs_little():
             sim = simulate(picture, settings, seed=seed)
             result = deepir.run("nuc", frames=sim.frames, threads=1)
             walks = settings is walked
-            assert any("moves by itself" in message for message in result.messages) == walks
+            assert any("moves" in message for message in result.messages) == walks
             assert ("moving" in result.extra) == walks
             if walks:
+                assert any("moves by itself" in message for message in result.messages)
                 assert (result.extra["moving"] & sim.truth.moving).sum() > 0.7 * sim.truth.moving.sum()
             quality.append(scores(result.scene, np.where(walker, np.nan, sim.truth.scene))["psnr_aligned"])
         costs.append(quality[0] - quality[1])
