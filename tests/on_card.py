@@ -40,12 +40,7 @@ def operator(name):
         there = x.to(device).requires_grad_()
         y = stage(there, **given)
         gradient = torch.autograd.grad(y.square().sum(), there)[0]
-        return [
-            y,
-            gradient,
-            stage.adjoint(y.detach(), x.shape, **given),
-            stage.valid(torch.ones_like(there), **given),
-        ]
+        return [y, gradient, stage.adjoint(y.detach(), x.shape, **given), stage.valid(torch.ones_like(there), **given)]
 
     return both(evaluate)
 

@@ -39,8 +39,7 @@ def sparse_npy(path, shape, dtype="|u1"):
         file.truncate(file.tell() + np.dtype(dtype).itemsize * math.prod(shape))
 
 
-#: ENVI's orders of the axes.
-INTERLEAVES = {"bsq": "nhw", "bil": "hnw", "bip": "hwn"}
+INTERLEAVES = {"bsq": "nhw", "bil": "hnw", "bip": "hwn"}  # ENVI's orders of the axes
 
 
 def envi(path, frames, interleave="bsq", extra="", before=b""):
@@ -227,12 +226,7 @@ def cptv(path, frames, bits=16):
         return bytes([len(value)]) + letter + value
 
     height, width = frames.shape[1:]
-    header = [
-        (b"T", bytes(8)),
-        (b"X", struct.pack("<I", width)),
-        (b"Y", struct.pack("<I", height)),
-        (b"C", b"\1"),
-    ]
+    header = [(b"T", bytes(8)), (b"X", struct.pack("<I", width)), (b"Y", struct.pack("<I", height)), (b"C", b"\1")]
     content = b"CPTV\2H" + bytes([len(header)]) + b"".join(field(*each) for each in header)
     last = np.zeros(height * width, int)
     for frame in frames:

@@ -9,8 +9,7 @@ from deepir.simulate import Settings, simulate
 from deepir.simulate.scenes.procedural import load_picture, procedural, sky
 
 SHAPE = (128, 160)
-#: Counts on a pedestal: a pixel's gain of 3 % is a pattern of 240 counts.
-COUNTS = {"counts": True, "max_rotation": 2.0}
+COUNTS = {"counts": True, "max_rotation": 2.0}  # counts on a pedestal: a pixel's gain of 3 % is a pattern of 240 counts
 FAINT = {**COUNTS, "contrast": 60.0, "read_noise": 0.07}
 #: 160 x 192 px, scenes in [0, 1]: a thousand photons, no bad pixels; and the same in counts.
 TONES = {"shading": 0.0, "dead_pixels": 0.0, "photons": 1000.0, "read_noise": 0.002}

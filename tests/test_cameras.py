@@ -37,12 +37,7 @@ def device(tmp_path, monkeypatch):
 
 def test_raw_frames_come_as_they_are(device):
     with V4L2(device=device(), mode=[16, 18]) as camera:
-        assert device.options == {
-            "pixel_format": "gray16le",
-            "fflags": "+4",
-            "video_size": "16x18",
-            "format": "v4l2",
-        }
+        assert device.options == {"pixel_format": "gray16le", "fflags": "+4", "video_size": "16x18", "format": "v4l2"}
         packets = iter([packet for packet in camera.container.demux(camera.track) if packet.size])
 
         def demux(_):

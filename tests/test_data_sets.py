@@ -110,19 +110,10 @@ def test_an_interrupted_run_of_two_cameras_goes_on(pair, solved, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            ["datasets.coarse.physics.warp.motion=affin"],
-            r"datasets.coarse: physics.warp.motion: no field is called",
-        ),
+        (["datasets.coarse.physics.warp.motion=affin"], r"datasets.coarse: physics.warp.motion: no field is called"),
         (["datasets.coarse.physics.warp=null"], r"begin with a stage 'warp' in each"),
-        (
-            ["datasets.coarse.physics.sensor.gain={unknown: gain}"],
-            r"no unknown 'gain' in the data sets before",
-        ),
-        (
-            ["datasets.coarse.physics.sensor.gain={unknown: motion}"],
-            r"'motion' is \(1, 3, 3\), which does not fit",
-        ),
+        (["datasets.coarse.physics.sensor.gain={unknown: gain}"], r"no unknown 'gain' in the data sets before"),
+        (["datasets.coarse.physics.sensor.gain={unknown: motion}"], r"'motion' is \(1, 3, 3\), which does not fit"),
         (["method=average"], r"method 'average' takes one data set"),
         (["problem=deconv"], r"problem 'deconv' takes one data set; take problem=generic"),
     ],

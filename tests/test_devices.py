@@ -27,10 +27,7 @@ pytestmark = pytest.mark.usefixtures("few_trials")
 
 @pytest.fixture(
     scope="module",
-    params=[
-        "card",
-        pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
-    ],
+    params=["card", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU"))],
 )
 def card(request):
     """The differences and errors on a device, by kind and name: a pretended one, and a GPU where there is one."""
@@ -87,8 +84,7 @@ def test_the_objective_by_torch_is_that_of_the_compiled_loops(monkeypatch, name)
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"),
-    [(kind.__name__, name) for kind in on_card.EVALUATED for name in on_card.names_of(kind.__name__)],
+    ("kind", "name"), [(kind.__name__, name) for kind in on_card.EVALUATED for name in on_card.names_of(kind.__name__)]
 )
 def test_nothing_mixes_devices_and_all_is_as_on_the_cpu(card, kind, name):
     assert "error" not in card[kind, name], card[kind, name]["error"]

@@ -15,8 +15,7 @@ OF_THE_AUTHOR = re.compile(
     r"variance components?|elimination|preconditioner|dense displacements?|leverage|Gauss-Newton|L-BFGS)\b",
     re.IGNORECASE,
 )
-#: Messages on settings that have these names.
-ABOUT_SETTINGS = {"network-without-fit"}
+ABOUT_SETTINGS = {"network-without-fit"}  # messages on settings that have these names
 
 EVERY_WAY = """
 raise DataError(f"{path}: holds {n:d} frames; take 3")
@@ -84,12 +83,7 @@ def test_an_explanation_says_what_it_means_and_what_to_do(name):
 
 def test_the_most_important_messages_come_first():
     found = labelled([Message("line-noise", "c"), "b", Message("level-drift", "a"), Message("motion-small", "d")])
-    assert found == [
-        "warning[motion-small]: d",
-        "warning[level-drift]: a",
-        "warning: b",
-        "note[line-noise]: c",
-    ]
+    assert found == ["warning[motion-small]: d", "warning[level-drift]: a", "warning: b", "note[line-noise]: c"]
 
 
 def test_a_command_prints_five_and_says_where_the_others_are():

@@ -32,12 +32,7 @@ def installed(wheel, tmp_path_factory):
 
     def run(*arguments):
         ended = subprocess.run(
-            [sys.executable, *arguments],
-            cwd=elsewhere,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
+            [sys.executable, *arguments], cwd=elsewhere, env=environment, capture_output=True, text=True, check=False
         )
         assert ended.returncode == 0, ended.stderr
         return ended.stdout
@@ -65,13 +60,5 @@ def test_commands_work_from_the_wheel_alone(installed):
 
 @pytest.mark.slow  # its kernels are compiled anew
 def test_a_run_works_from_the_wheel_alone(installed):
-    installed(
-        "-m",
-        "deepir",
-        "run",
-        "nuc",
-        "data.simulate.shape=[40,48]",
-        "data.simulate.n_frames=3",
-        "output.dir=run",
-    )
+    installed("-m", "deepir", "run", "nuc", "data.simulate.shape=[40,48]", "data.simulate.n_frames=3", "output.dir=run")
     assert {"result.npz", "summary.png", "report.html", "metrics.json"} <= files_of(installed.folder / "run")

@@ -67,11 +67,7 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
 
 def stored(name, *, scene, motion):
     rng = np.random.default_rng(0)
-    maps = {
-        "gain": np.ones((64, 80)),
-        "offset": rng.standard_normal((64, 80)),
-        "bad_pixels": np.zeros((64, 80), bool),
-    }
+    maps = {"gain": np.ones((64, 80)), "offset": rng.standard_normal((64, 80)), "bad_pixels": np.zeros((64, 80), bool)}
     Path(name).mkdir()
     np.savez(Path(name, "result.npz"), scene=scene, motion=motion, **maps)
     np.savez(Path(name, "uncertainty.npz"), scene=np.ones(scene.shape))

@@ -73,17 +73,11 @@ DATA = {
     "complex numbers": (stored(lambda f: f * 1j), ["complex"]),
     "one frame": (stored(lambda f: f[:1]), ["1 frame(s)", "at least 2"]),
     "tiny frames": (stored(lambda f: f[:, :8, :8]), ["8 x 8 px is too small"]),
-    "pictures of two sizes": (
-        pictures_of_two_sizes,
-        ["differ in size", "a.png is 40 x 48", "b.png is 30 x 48"],
-    ),
+    "pictures of two sizes": (pictures_of_two_sizes, ["differ in size", "a.png is 40 x 48", "b.png is 30 x 48"]),
     "nothing but NaN": (stored(lambda f: f * np.nan), ["frame 0 is 100% NaN", "data.frames"]),
     "no frame but one that is not NaN": (all_but_one_are(np.nan), ["frame 1 is 100% NaN"]),
     "no frame but one that is not constant": (all_but_one_are(7.0), ["frame 1 is 7 everywhere"]),
-    "identical frames": (
-        stored(lambda f: f[[0, 0, 0]]),
-        ["do not move", "cannot be separated", "3 to 10 px"],
-    ),
+    "identical frames": (stored(lambda f: f[[0, 0, 0]]), ["do not move", "cannot be separated", "3 to 10 px"]),
     "a camera at rest": (
         stored(lambda f: f[[0, 0, 0]] + RNG.normal(0, 3, f.shape)),
         ["do not move", "cannot be separated", "3 to 10 px"],
@@ -148,10 +142,7 @@ SETTINGS = {
     "physics.sensor.gain=true": ["physics.sensor.gain = True", "'type'"],
     "physics.sensor.gain.fixed=maybe": ["physics.sensor.gain.fixed = 'maybe'"],
     "physics.sensor.gain.init=[1]": ["physics.sensor.gain.init = [1]"],
-    "physics.sensor.gain={type: constant, init: gain.npy}": [
-        "physics.sensor.gain.init",
-        "physics.sensor.gain.path",
-    ],
+    "physics.sensor.gain={type: constant, init: gain.npy}": ["physics.sensor.gain.init", "physics.sensor.gain.path"],
     "physics.sensor.gain={type: constant, path: no.npy}": ["physics.sensor.gain: ", "no.npy: no such file"],
     # stages
     "physics.senser.gain=1": ["physics.senser: not a stage", "did you mean 'sensor'", "before"],

@@ -154,12 +154,7 @@ class TestHere:
         assert "1 of 2 runs are finished already" in deepir(*AVERAGES)[2]
 
     def test_frames_of_a_file_are_its_first(self, deepir, folder):
-        settings = (
-            "data.path=burst.npz",
-            "data.truth=burst_truth.npz",
-            "method=average",
-            "data.frames=2,[0, 1, 2]",
-        )
+        settings = ("data.path=burst.npz", "data.truth=burst_truth.npz", "method=average", "data.frames=2,[0, 1, 2]")
         status, out, _ = deepir("compare", "nuc", *settings)
         assert status == 0
         assert "[0, 1, 2]" in out

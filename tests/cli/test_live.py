@@ -122,8 +122,7 @@ def test_only_a_page_needs_its_libraries(recording):
 
 
 @pytest.mark.parametrize(
-    ("end", "status", "words"),
-    [(Interrupted(2), 0, "5 frame(s)"), (DataError("unplugged"), 2, "error: unplugged")],
+    ("end", "status", "words"), [(Interrupted(2), 0, "5 frame(s)"), (DataError("unplugged"), 2, "error: unplugged")]
 )
 def test_what_a_camera_gave_until_the_end_is_kept(deepir, fake, recording, end, status, words):
     fake.frames = [*recording, None, end]

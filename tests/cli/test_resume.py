@@ -75,8 +75,7 @@ def resumed(deepir, scene):
 
 
 @pytest.mark.parametrize(
-    ("number", "status", "iteration"),
-    [(signal.SIGINT, 130, 1), (signal.SIGINT, 130, 6), (signal.SIGTERM, 143, 13)],
+    ("number", "status", "iteration"), [(signal.SIGINT, 130, 1), (signal.SIGINT, 130, 6), (signal.SIGTERM, 143, 13)]
 )
 def test_after_a_signal(deepir, resumed, number, status, iteration):
     with signalled(number, iteration):

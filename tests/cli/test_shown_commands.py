@@ -16,8 +16,7 @@ TUTORIAL = ROOT / "docs/tutorials/burst.md"
 GALLERY = ROOT / "docs/tutorials/gallery.md"
 WHICH_PRIOR = ROOT / "docs/how-to/which-prior.md"
 SECTIONS = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", GALLERY.read_text(), re.MULTILINE | re.DOTALL))
-#: Pages of problems.
-PROBLEMS = ["super-resolution", "narcissus", "deconvolution", "thermal-lag", "flow", "many-views"]
+PROBLEMS = ["super-resolution", "narcissus", "deconvolution", "thermal-lag", "flow", "many-views"]  # pages of problems
 SHAPE = re.compile(r"shape=\[\d+,\d+\]")
 
 

@@ -137,11 +137,7 @@ def test_a_wrong_override_is_quoted(settings, says):
 def test_no_value_is_taken_from_the_environment(tmp_path, monkeypatch, text):
     monkeypatch.setenv("TOKEN", "secret")
     (tmp_path / "mine.yaml").write_text(f"physics: {{warp: {{}}}}\ndata: {{path: '{text}'}}\n")
-    for given in (
-        ("nuc", [f"data.path={text}"]),
-        (tmp_path / "mine.yaml",),
-        ("nuc", [f"data.frames=['{text}']"]),
-    ):
+    for given in (("nuc", [f"data.path={text}"]), (tmp_path / "mine.yaml",), ("nuc", [f"data.frames=['{text}']"])):
         with pytest.raises(ConfigError) as error:
             load(*given)
         assert "secret" not in str(error.value)

@@ -131,9 +131,7 @@ def test_a_value_that_is_another(burst, data, name, prior, value):
 
 @damaged
 @given(
-    data=st.data(),
-    name=st.sampled_from(NAMES),
-    key=st.text(max_size=8) | st.integers() | st.sampled_from(EVIL[:30]),
+    data=st.data(), name=st.sampled_from(NAMES), key=st.text(max_size=8) | st.integers() | st.sampled_from(EVIL[:30])
 )
 def test_a_key_that_is_another(burst, data, name, key):
     tree = whole(name, "tv")

@@ -56,8 +56,7 @@ def test_the_likelihood_of_the_level_is_largest_at_the_true_one():
     score = np.stack(((signal * observed).sum(0), observed.sum(0)))
     sigma = np.array([0.03, 9.0])
     means = np.linalg.solve(
-        np.moveaxis(np.array([[aa + sigma[0] ** -2, ab], [ab, bb + sigma[1] ** -2]]), 2, 0),
-        score.T[..., None],
+        np.moveaxis(np.array([[aa + sigma[0] ** -2, ab], [ab, bb + sigma[1] ** -2]]), 2, 0), score.T[..., None]
     )[..., 0].T
     given = torch.from_numpy(np.stack((aa, ab, bb))), torch.from_numpy(means), torch.from_numpy(sigma)
     nats = {each: reference_level_nats(*given, each) for each in (0.0, 200.0, 300.0, 400.0)}
@@ -81,8 +80,7 @@ def filtered_in_time():
 
 
 @pytest.mark.parametrize(
-    ("noise", "step"),
-    [(coloured, 1.0), pytest.param(coloured, 16.0, marks=pytest.mark.slow), (filtered_in_time, 1.0)],
+    ("noise", "step"), [(coloured, 1.0), pytest.param(coloured, 16.0, marks=pytest.mark.slow), (filtered_in_time, 1.0)]
 )
 def test_pixels_are_as_strong_as_they_are(noise, step):
     frames, _, _ = camera(PEDESTAL, noise())

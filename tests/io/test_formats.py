@@ -85,10 +85,7 @@ UNUSUAL = {
     "appended pages": ("a.tif", appended_pages),
     "ImageJ": ("a.tif", lambda p, f: tifffile.imwrite(p, f, imagej=True)),
     "grey stored as RGB": ("a.tif", rgb_tiff),
-    "three colour planes": (
-        "a.tif",
-        lambda p, f: tifffile.imwrite(p, f, photometric="rgb", planarconfig="separate"),
-    ),
+    "three colour planes": ("a.tif", lambda p, f: tifffile.imwrite(p, f, photometric="rgb", planarconfig="separate")),
     "sub-directories": ("a.tif", with_a_reduced_picture),
     "npy of version 2": ("a.npy", npy_2),
     "brackets in the name": ("burst[1].npy", np.save),
@@ -103,10 +100,7 @@ UNUSUAL = {
     "the only picture": ("a.npz", lambda p, f: np.savez(p, raw=f, exposure=8.3, times=np.arange(3))),
     "frames before others": ("a.npz", lambda p, f: np.savez(p, frames=f, shutter=f[0])),
     "raw before processed": ("a.npz", lambda p, f: np.savez(p, raw=f, shutter=f[0], processed=f / 2)),
-    "MATLAB's only frames": (
-        "a.mat",
-        matlab(burst=lambda f: f, name=lambda _: "flight", rate=lambda _: 30.0),
-    ),
+    "MATLAB's only frames": ("a.mat", matlab(burst=lambda f: f, name=lambda _: "flight", rate=lambda _: 30.0)),
     "MATLAB's axis of one colour": ("a.mat", matlab(video=lambda f: f[:, :, None])),
     "one frame of MATLAB": ("a.mat", matlab(raw=lambda f: f[..., 0], cal=lambda f: f[..., 1])),
     "comments in PGM": ("a.pgm", lambda p, f: recordings.pgm(p, f, 16383, b"# a camera\n# of 14 bits\n")),

@@ -92,8 +92,7 @@ def test_select_takes_counts_slices_and_lists(tmp_path, burst, select, expected)
 
 
 @pytest.mark.parametrize(
-    "select",
-    [0, 4, -1, "4", "2:2", "3:", "0:4", "::0", "1:2:3:4", "a", "1.5", [], [3], [-4], [True], True, 1.5],
+    "select", [0, 4, -1, "4", "2:2", "3:", "0:4", "::0", "1:2:3:4", "a", "1.5", [], [3], [-4], [True], True, 1.5]
 )
 def test_a_selection_that_does_not_fit_says_how_many_frames_there_are(tmp_path, burst, select):
     np.save(tmp_path / "a.npy", burst)

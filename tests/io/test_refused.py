@@ -272,10 +272,7 @@ REFUSED = {
             r"no array of frames but camera \(struct\), notes \(cell\); join",
         ),
         (matlab(camera=lambda f: {"frames": f}, fps=np.ndim), r"no array of frames but camera \(struct\), fps"),
-        (
-            forged(matlab(frames=lambda f: f[0]), struct.pack("<II", 20, 24), 0, b"\xff\xff\xff\x7f" * 2),
-            "declares",
-        ),
+        (forged(matlab(frames=lambda f: f[0]), struct.pack("<II", 20, 24), 0, b"\xff\xff\xff\x7f" * 2), "declares"),
         *((of_type(kind, packed), "which no number has") for kind in (8, 14, 99) for packed in (False, True)),
         (lambda p, f: scipy.io.savemat(p, {"frame": f[0] * 1.0}, format="4"), "MATLAB 4"),
         (matlab(frames=lambda f: f), r"data\.axes=wnh reads 3 frames"),  # saved by Python
@@ -328,10 +325,7 @@ def test_it_is_refused_with_the_reason(tmp_path, burst, name, write, message):
 
 @pytest.mark.parametrize(
     ("write", "message"),
-    [
-        (lambda p, f: recordings.cptv(p, f[:0]), "without frames"),
-        (cut(recordings.cptv, 400), "damaged or truncated"),
-    ],
+    [(lambda p, f: recordings.cptv(p, f[:0]), "without frames"), (cut(recordings.cptv, 400), "damaged or truncated")],
 )
 def test_what_is_read_frame_by_frame_is_refused_where_the_damage_is_reached(tmp_path, burst, write, message):
     write(tmp_path / "a", burst)

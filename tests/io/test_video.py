@@ -88,12 +88,7 @@ RAMP = np.tile(np.linspace(0, 255, 64).astype(np.uint8), (2, 64, 1))
 
 @pytest.mark.parametrize(
     ("stored", "colour_range", "name"),
-    [
-        ("yuvj420p", None, "a.mp4"),
-        ("yuv420p", 2, "a.mkv"),
-        ("yuv420p", None, "a.mp4"),
-        ("gray", None, "a.mp4"),
-    ],
+    [("yuvj420p", None, "a.mp4"), ("yuv420p", 2, "a.mkv"), ("yuv420p", None, "a.mp4"), ("gray", None, "a.mp4")],
 )
 def test_grey_of_the_full_range_is_not_cut_off(tmp_path, stored, colour_range, name):
     yuv(tmp_path / name, RAMP, stored=stored, colour_range=colour_range)

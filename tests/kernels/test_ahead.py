@@ -58,15 +58,7 @@ def test_a_run_on_a_new_machine_compiles_nothing_itself_and_gives_the_same_bits(
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     scene = ["data.simulate.shape=[64,80]", "data.simulate.n_frames=4"]
     for name in ("new", "again"):
-        command = [
-            sys.executable,
-            "-c",
-            COUNT_COMPILED,
-            "run",
-            "nuc",
-            *scene,
-            f"output.dir={tmp_path / name}",
-        ]
+        command = [sys.executable, "-c", COUNT_COMPILED, "run", "nuc", *scene, f"output.dir={tmp_path / name}"]
         ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
         assert json.loads(ended.stdout.splitlines()[-1]) == [0, []], ended.stdout
     with np.load(tmp_path / "new" / "result.npz") as new, np.load(tmp_path / "again" / "result.npz") as again:

@@ -105,10 +105,7 @@ def test_a_viewer_gets_the_newest_frame_raw_too_and_in_colours_of_his_own(live, 
 
 def test_a_viewer_who_has_the_newest_frame_hears_how_it_goes(live, viewer):
     looking = viewer()
-    assert looking.ask() == (
-        [],
-        {"number": 0, "ended": "", "recording": False, "recorded": 0, "recorder": ""},
-    )
+    assert looking.ask() == ([], {"number": 0, "ended": "", "recording": False, "recorded": 0, "recorder": ""})
     live.show()
     live.session.end("the recording has ended")
     pictures, status = looking.ask(seen=1)

@@ -89,11 +89,6 @@ def test_conjugate_gradients_solve_a_system():
     a, rhs = a @ a.T / 30 + torch.eye(30), torch.randn(30, dtype=torch.float64)
     for near in (lambda x: x, lambda x: x / a.diagonal()):
         found = conjugate_gradient(
-            lambda x: a @ x,
-            rhs,
-            torch.zeros_like(rhs),
-            precondition=near,
-            tolerance=1e-10,
-            max_iterations=20,
+            lambda x: a @ x, rhs, torch.zeros_like(rhs), precondition=near, tolerance=1e-10, max_iterations=20
         )
         assert torch.allclose(a @ found, rhs, atol=1e-6)

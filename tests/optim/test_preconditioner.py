@@ -17,12 +17,7 @@ from deepir.joint_problem import JointProblem
 from deepir.operators import Add, Sensor, Warp
 from deepir.optim import free_parameters
 from deepir.optim.objective import objective
-from deepir.optim.preconditioner import (
-    BlockPreconditioner,
-    Preconditioner,
-    low_frequencies,
-    make_block_preconditioner,
-)
+from deepir.optim.preconditioner import BlockPreconditioner, Preconditioner, low_frequencies, make_block_preconditioner
 from deepir.optim.solve import solve
 from deepir.priors.penalties.distance import Ridge
 from deepir.problem import Problem

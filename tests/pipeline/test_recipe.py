@@ -66,12 +66,7 @@ def test_without_its_effect_a_moving_object_stays_in_the_scene():
 PARTS = {"type": "column+row+shading+pixel"}
 PHYSICS = {
     "pose": {"type": "warp", "motion": {"type": "auto", "init": "register"}},
-    "camera": {
-        "type": "sensor",
-        "gain": PARTS,
-        "offset": PARTS,
-        "level": {"type": "drift+row_noise+column_noise"},
-    },
+    "camera": {"type": "sensor", "gain": PARTS, "offset": PARTS, "level": {"type": "drift+row_noise+column_noise"}},
 }
 
 

@@ -14,10 +14,7 @@ def spotted(walk):
     """Frames, places (N, 6, 2) of spots 2 px wide, three of which stand in the world, scenes, and heat."""
     frames, scenes = walk.frames[:48, 8:72, 16:96].astype(float), walk.scenes[:48, 8:72, 16:96]
     time = np.linspace(0, 2 * np.pi, len(walk.frames))[:48]
-    y, x = (
-        90 * np.sin(0.61 * time) + 6 * np.sin(3.1 * time),
-        70 * np.cos(0.87 * time) + 6 * np.cos(2.3 * time),
-    )
+    y, x = (90 * np.sin(0.61 * time) + 6 * np.sin(3.1 * time), 70 * np.cos(0.87 * time) + 6 * np.cos(2.3 * time))
     camera = np.stack([y, x], 1)
     middle = np.array(frames.shape[1:]) / 2
     still = middle + np.array(SPOTS) - (camera - camera[24])[:, None]

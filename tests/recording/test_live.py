@@ -78,10 +78,7 @@ def test_maps_of_an_earlier_day_are_taken_at_once_if_they_fit(walk):
     maps = CorrectionMaps(walk.gain, walk.fine + walk.slow + 8000 * (1 - walk.gain), walk.bad)
     wrong = 300 * np.random.default_rng(1).standard_normal(walk.gain.shape)
     frame = walk.frames[0]
-    for given, expected in (
-        (maps, maps.correct(frame)),
-        (CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), frame),
-    ):
+    for given, expected in ((maps, maps.correct(frame)), (CorrectionMaps(np.ones_like(wrong), wrong, walk.bad), frame)):
         with Corrector(given, estimator=SynchronousEstimator()) as corrector:
             assert np.array_equal(corrector(frame), expected)
             assert corrector.status.correcting == (given is maps)

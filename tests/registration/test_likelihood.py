@@ -15,11 +15,7 @@ from deepir.registration import (
     register,
     shift_likelihood,
 )
-from deepir.registration.block_likelihood import (
-    RotationLikelihood,
-    likelihood_frames,
-    maximise_rotation_likelihood,
-)
+from deepir.registration.block_likelihood import RotationLikelihood, likelihood_frames, maximise_rotation_likelihood
 from deepir.registration.preprocess import variance_stabilise
 
 STRONG = {"gain_pixel": 0.1, "offset_pixel": 0.1, "offset_row": 0.05}

@@ -68,6 +68,5 @@ def test_at_rest_the_background_is_the_mean_of_the_other_frames():
     stands = torch.rand(frames.shape, generator=torch.Generator().manual_seed(0)) < 0.4
     weight[3:5, 7:9] = 0
     torch.testing.assert_close(
-        inpaint_mean(frames, stands, weight),
-        inpaint_background(frames, stands, weight, identity(len(frames))),
+        inpaint_mean(frames, stands, weight), inpaint_background(frames, stands, weight, identity(len(frames)))
     )

@@ -20,11 +20,7 @@ def result():
     scene = np.tile(8000.0 + np.arange(SIZE[1]), (SIZE[0], 1))
     found = neutral(scene, 3, SIZE, rng.random(SIZE) < 0.01)
     found.radiometry = Linear(0.01, 200.0)
-    found.extra = {
-        "scene_kelvin": 200 + 0.01 * found.scene,
-        "stray": rng.normal(0, 1, SIZE),
-        "psf": np.eye(5),
-    }
+    found.extra = {"scene_kelvin": 200 + 0.01 * found.scene, "stray": rng.normal(0, 1, SIZE), "psf": np.eye(5)}
     found.gain = rng.normal(1, 0.02, SIZE).astype(np.float32)
     found.offset = rng.normal(0, 30, SIZE).astype(np.float32)
     found.uncertainty = {name: np.full(SIZE, 0.5) for name in ("scene", "gain", "offset")}

@@ -72,10 +72,7 @@ def test_what_failed_is_said_as_it_is(page):
 
 
 def test_curves_are_drawn_against_frames_and_seconds(page):
-    assert page.locator("figcaption").all_inner_texts() == [
-        "PSNR (dB) against frames",
-        "PSNR (dB) against seconds",
-    ]
+    assert page.locator("figcaption").all_inner_texts() == ["PSNR (dB) against frames", "PSNR (dB) against seconds"]
     page.locator("circle.dot").first.hover()
     assert page.inner_text(".card .reading") == "tv · 3 frames: 43.5"
 

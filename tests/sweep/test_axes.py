@@ -19,10 +19,7 @@ def test_values_are_split_at_commas_outside_of_brackets_and_quotes(values):
 def test_a_key_with_several_values_is_an_axis_and_one_with_one_is_a_setting():
     fixed, axes = parse_axes(["data.crop=[0, 40, 0, 48]", "prior=tv,pixels", "threads=1", "seed=0, 1,0"])
     assert fixed == ["data.crop=[0, 40, 0, 48]", "threads=1"]
-    assert [(axis.key, list(axis.choices)) for axis in axes] == [
-        ("prior", ["tv", "pixels"]),
-        ("seed", ["0", "1"]),
-    ]
+    assert [(axis.key, list(axis.choices)) for axis in axes] == [("prior", ["tv", "pixels"]), ("seed", ["0", "1"])]
     assert axes[1].choices["1"] == ["seed=1"]
 
 

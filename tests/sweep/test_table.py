@@ -56,10 +56,7 @@ def test_the_machines_are_named_once():
 
 def test_without_truth_the_held_out_error_is_shown():
     rows = [Row("a", {"prior": "tv"}, {"held_out_rmse": 4.0, "seconds": 2.0})]
-    assert table_lines(rows) == (
-        ["prior", "finished", "held-out error", "seconds"],
-        [["tv", "1/1", "4", "2"]],
-    )
+    assert table_lines(rows) == (["prior", "finished", "held-out error", "seconds"], [["tv", "1/1", "4", "2"]])
 
 
 def test_the_csv_has_a_line_for_each_cell_and_each_column_once(rows):
