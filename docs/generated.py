@@ -35,10 +35,7 @@ COMPONENT_KINDS = {
     "penalty": ("Penalties", "Under `penalties` of the scene or of a slot; several may stack."),
     "denoiser": ("Denoisers", "What `red` regularises by: `scene.penalties.red.denoiser`."),
     "fidelity": ("Fidelities", "How prediction and data are compared: `fidelity`."),
-    "effect": (
-        "Effects",
-        "Imperfections that a problem estimates: `effects.NAME` is false, or a mapping of options.",
-    ),
+    "effect": ("Effects", "Imperfections that a problem estimates: `effects.NAME` is false, or a mapping of options."),
     "optimiser": (
         "Optimisers",
         "How a group of unknowns moves: `method` of a step of `solver.plan`, and of `scene.fit`.",
@@ -46,10 +43,7 @@ COMPONENT_KINDS = {
     "problem": ("Problems", "How a problem is started and solved: `problem`."),
     "method": ("Methods", "What runs: `method`. [Methods](methods.md) has their sources."),
     "training": ("Trainings", "What `deepir train NAME` trains."),
-    "camera": (
-        "Cameras",
-        "Drivers for `deepir capture --camera NAME`; [cameras](../how-to/cameras.md#take-a-burst).",
-    ),
+    "camera": ("Cameras", "Drivers for `deepir capture --camera NAME`; [cameras](../how-to/cameras.md#take-a-burst)."),
 }
 MESSAGES_HEADER = """# Messages
 
@@ -123,10 +117,7 @@ def components_page() -> str:
             "Presets of the scene: `prior`.",
             {n: SHIPPED_CONFIGS / "prior" / f"{n}.yaml" for n in prior_names()},
         ),
-        "Configurations": (
-            "Shipped: `deepir run NAME`.",
-            {n: SHIPPED_CONFIGS / f"{n}.yaml" for n in shipped_names()},
-        ),
+        "Configurations": ("Shipped: `deepir run NAME`.", {n: SHIPPED_CONFIGS / f"{n}.yaml" for n in shipped_names()}),
     }
     for title, (text, files) in shipped.items():
         table = _table(["name", "what"], [[f"`{name}`", headline(path)] for name, path in files.items()])
