@@ -187,3 +187,26 @@ def test_a_sample_is_valid_where_its_coefficients_lie_in_the_canvas():
     at = operator.sampling_points(motion)
     inside = (at[..., 0].abs() <= 4.5) & (at[..., 1].abs() <= 4)
     assert torch.equal(operator.valid(torch.ones(1, 1, 11, 12), motion=motion)[:, 0] > 0, inside)
+
+
+def test_kornia_warps_the_same_way():
+    # Second opinion: kornia takes the inverse, in array indices; align_corners=False is right from 0.9 on.
+    from kornia.geometry.transform import warp_perspective
+
+    motion = torch.eye(3, dtype=torch.float64).repeat(4, 1, 1)
+    motion[:, :2] += 0.02 * torch.randn(4, 2, 3, dtype=torch.float64)
+    motion[:, :2, 2] *= 100
+    motion[:, 2, :2] = 1e-4 * torch.randn(4, 2, dtype=torch.float64)
+    operator = Warp((30, 41), (50, 60), (9, 8))
+    # A slope, on which all interpolations agree.
+    y, x = torch.meshgrid(torch.arange(50.0).double(), torch.arange(60.0).double(), indexing="ij")
+    x = (2 * x - 3 * y)[None, None]
+    to_centre, to_canvas = torch.eye(3, dtype=torch.float64), torch.eye(3, dtype=torch.float64)
+    to_centre[:2, 2] = torch.tensor([-20, -14.5])
+    to_canvas[:2, 2] = torch.tensor([20 + 8, 14.5 + 9])
+    pushed = torch.linalg.inv(to_canvas @ motion @ to_centre)
+    inside = operator.valid(torch.ones_like(x), motion=motion) > 0
+    assert inside.double().mean() > 0.9
+    for align_corners in (False, True):
+        theirs = warp_perspective(x.expand(4, 1, 50, 60), pushed, (30, 41), align_corners=align_corners)
+        assert torch.allclose(operator(x, motion=motion)[inside], theirs[inside], atol=1e-9)
