@@ -159,8 +159,8 @@ class ProcessEstimator:
         assert to is not None
         assert back is not None
         try:
-            shape = (len(chosen.frames), *chosen.frames[0].shape)
-            pickle.dump((shape, replace(chosen, frames=np.empty(0)), quick, former), to)
+            shape, empty = (len(chosen.frames), *chosen.frames[0].shape), replace(chosen, frames=np.empty(0))
+            pickle.dump((shape, empty, quick, former), to)
             for frame in chosen.frames:
                 to.write(as_float32(frame).data)
             to.flush()

@@ -127,8 +127,7 @@ def refine_rotation(frames: Tensor, weight: Tensor, levels: list[Level], motion:
         return motion
     refined = align_levels(levels, most_likely, "rigid")
     after = change_pixel_size(relative(refined), factor)
-    block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)
-    return refined if accept_by_blocks(block_ratios, n_left_out=3) else motion
+    return refined if accept_by_blocks(block_log_ratios(reduced, before, after, GRID_3X3), n_left_out=3) else motion
 
 
 def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Tensor:

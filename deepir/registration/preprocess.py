@@ -72,10 +72,9 @@ def log_or_centre(frames: Tensor, good: Tensor) -> Tensor:
 def line_pattern(image: Tensor, axis: int) -> Tensor:
     """Offset of each line along `axis`: median, along it, of the difference from a moving average across the lines.
 
-    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows.
+    Of an image `(H, W)` they are `(1, W)` for columns (axis 0), `(H, 1)` for rows. What is broader is no stripe.
     """
-    window = 31  # px; what is broader is no stripe
-    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), window, axis=1 - axis, mode="nearest")
+    moving_average = scipy.ndimage.uniform_filter1d(image.numpy(), 31, axis=1 - axis, mode="nearest")  # px
     return (image - torch.from_numpy(moving_average)).median(axis, keepdim=True).values
 
 
@@ -104,8 +103,7 @@ def fill_bad_pixels(frames: Tensor, good: Tensor) -> Tensor:
 
     Each next window is about twice as wide. Returns frames `(N, h, w)` float64; zero if no pixel is good.
     """
-    window = 5  # px
-    filled, unknown = torch.where(good, frames.double(), 0.0), ~good
+    filled, unknown, window = torch.where(good, frames.double(), 0.0), ~good, 5  # px
     known, fraction = filled.numpy(), good.double().numpy()
     while unknown.any() and good.any():
         local_fraction = scipy.ndimage.uniform_filter(fraction, window, mode="constant")

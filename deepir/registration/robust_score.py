@@ -57,9 +57,8 @@ def sample_nll(residual: Tensor, sigma: float) -> Tensor:
 
     `residual` are magnitudes `(N, h, w)`, infinite where no other frame predicts the sample; these count as the bound.
     """
-    bound, tail_variance = 10.0, 4.0  # in units of the robust standard deviation and its square
-    bounded = (residual / sigma).where(residual.isfinite(), bound).clamp_max(bound)
-    return torch.log1p(bounded.square() / tail_variance)
+    bounded = (residual / sigma).where(residual.isfinite(), 10.0).clamp_max(10.0)  # sigma
+    return torch.log1p(bounded.square() / 4.0)  # squared scale of the tail, sigma squared
 
 
 def absolute_residuals(level: Level, motion: Tensor) -> Tensor:

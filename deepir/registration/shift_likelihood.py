@@ -133,8 +133,7 @@ def maximise(likelihood: ShiftLikelihood | RotationLikelihood, parameters: np.nd
 
     From initial parameters `(K, P)`. The likelihood's powers are changed.
     """
-    objective = likelihood.negative_log_likelihood
-    options = {"maxiter": 20, "gtol": 1.0}  # nats per px
+    objective, options = likelihood.negative_log_likelihood, {"maxiter": 20, "gtol": 1.0}  # nats per px
     for _ in range(3):  # alternations at most
         result = minimize(objective, parameters.ravel(), jac=True, method="L-BFGS-B", options=options)
         previous, parameters = parameters, result.x.reshape(parameters.shape)
@@ -163,8 +162,7 @@ class ShiftLikelihood:
         self.y, self.x = y[rows], x[columns]
         self.size, self.band = (h, w), np.ix_(rows, columns)
         spectra = torch.fft.rfft2(frames).numpy() / float(taper.square().sum().sqrt())
-        self.frames = spectra[:, rows][:, :, columns]
-        self.real, self.imag = (np.ascontiguousarray(each) for each in (self.frames.real, self.frames.imag))
+        self.frames = np.ascontiguousarray(spectra[:, rows][:, :, columns])
         self.wavenumber = np.hypot(self.y[:, None], self.x)
         self.ring = np.digitize(
             self.wavenumber, np.geomspace(2 * np.pi / max(h, w), WAVES.max_wavenumber, WAVES.n_rings)
@@ -191,15 +189,16 @@ class ShiftLikelihood:
         from deepir.kernels.shift_likelihood import negative_log_likelihood
 
         rows = len(self.y)
-        values, gradient = np.empty(rows), np.empty((rows, len(self.real), 2))
-        negative_log_likelihood(0, rows, *self._kernel_arguments(shifts.reshape(-1, 2)), values, gradient)
+        values, gradient = np.empty(rows), np.empty((rows, len(self.frames), 2))
+        given = self._kernel_arguments(shifts.reshape(-1, 2))
+        negative_log_likelihood(0, rows, *given, self.y, self.x, values, gradient)
         return float(values.sum()), gradient.sum(0)[1:].ravel()
 
     def update_powers(self, shifts: np.ndarray) -> None:
         """Estimate the powers at shifts `(N - 1, 2)` in px by six steps of expectation-maximisation."""
         from deepir.kernels.shift_likelihood import expected_powers
 
-        n, rows = len(self.real), len(self.y)
+        n, rows = len(self.frames), len(self.y)
         expected, pattern_powers = np.empty((rows, WAVES.n_rings + 1, 2)), np.empty(rows)
         for _ in range(6):
             expected_powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
@@ -209,8 +208,8 @@ class ShiftLikelihood:
 
     def _kernel_arguments(self, shifts: np.ndarray) -> tuple[Any, ...]:
         """Arguments of the compiled loops at shifts `(N - 1, 2)`; one call for all rows, too few for threads."""
-        all_shifts = np.vstack((np.zeros((1, 2)), shifts))
-        return self.real, self.imag, all_shifts, self.y, self.x, self.scene, self.pattern, self.noise
+        x, y = 1j * np.vstack((np.zeros((1, 2)), shifts)).T[:, :, None]
+        return self.frames, np.exp(y * self.y), np.exp(x * self.x), self.scene, self.pattern, self.noise
 
 
 def integer_shifts(frames: Tensor) -> np.ndarray:
