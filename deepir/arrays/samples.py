@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import fft
 
-Array = np.ndarray[Any, Any]
+from deepir.arrays import Array
+
 MAD_TO_SIGMA = 1.4826  # standard deviation of a Gaussian, per median absolute deviation
 CHI_SQUARED_MEDIAN = MAD_TO_SIGMA**-2  # of one degree of freedom
 MAX_LAG = 50  # largest lag along an axis, px
@@ -45,7 +44,8 @@ def as_float32(frame: Array) -> Array:
 
 def mixed_deviation(frames: Array) -> float:
     """Robust standard deviation of a sample's noise, from mixed second differences of frames (N, h, w); NaN of none."""
-    mixed = np.abs(frames[:, 1:, 1:] - frames[:, :-1, 1:] - frames[:, 1:, :-1] + frames[:, :-1, :-1])
+    with np.errstate(invalid="ignore"):  # of infinite samples
+        mixed = np.abs(frames[:, 1:, 1:] - frames[:, :-1, 1:] - frames[:, 1:, :-1] + frames[:, :-1, :-1])
     known = mixed[np.isfinite(mixed)]
     return MAD_TO_SIGMA * float(np.median(known)) / 2 if known.size else float("nan")
 

@@ -58,11 +58,11 @@ def camera_frames(camera: Camera) -> Iterator[Array]:
     """
     last = time.monotonic()
     while True:
-        frame, now = camera.read(), time.monotonic()
+        frame = camera.read()
         if frame is not None:
-            last = now
             yield frame
-        elif now - last > FRAME_TIMEOUT:
+            last = time.monotonic()  # whoever takes the frames may be slow
+        elif time.monotonic() - last > FRAME_TIMEOUT:
             raise DataError(
                 f"the camera has sent nothing for {FRAME_TIMEOUT:g} s: is it busy? Else unplug it and plug it in again"
             )

@@ -112,7 +112,7 @@ class TestHere:
         status, _, err = deepir(*COMPARE, "method=slow_start", "seed=0,1", "--plugin", "slow_start")
         assert status == 0, err
         row, _ = table(folder / "runs/nuc-compare")
-        assert float(row["seconds"]) < 0.5
+        assert float(row["seconds"]) < 0.3
 
     def test_what_is_finished_is_kept_and_other_settings_want_another_folder_or_overwrite(self, deepir, folder):
         deepir(*AVERAGES)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepir.arrays.samples import mixed_deviation
+from deepir.arrays.samples import block_sums, mixed_deviation
 from deepir.io.frames import Frames
 from deepir.io.inspection.checks import (
     has_neighbours,
@@ -126,11 +126,13 @@ def _pairs(frames: Array) -> tuple[Array, Array]:
 
 
 def temporal_noise(frames: Array) -> float:
-    """Temporal noise of a sample (N, h, w), from differences of consecutive frames: with motion an upper bound, as of
-    fine texture; NaN if there is no such difference.
+    """Temporal noise of a sample of frames (N, h, w), from differences of consecutive ones; NaN if there are none.
+
+    Mixed differences cancel most of the motion, but not fine texture: with motion it is an upper bound.
     """
     first, second = _pairs(frames)
-    return mixed_deviation(second - first) / 2**0.5
+    with np.errstate(invalid="ignore"):  # of infinite samples
+        return mixed_deviation(second - first) / 2**0.5
 
 
 def apparent_motion(frames: Array) -> tuple[float, float]:
@@ -149,7 +151,7 @@ def apparent_motion(frames: Array) -> tuple[float, float]:
     if not known.all():
         pairs = np.where(known, pairs, np.median(pairs[known]))
     shifts, evidence = [], []
-    for a, b in zip(*map(_block_means, pairs), strict=True):
+    for a, b in zip(*(block_sums(each, BLOCK_SIDE) / BLOCK_SIDE**2 for each in pairs), strict=True):
         gradients = [g.ravel() for g in np.gradient((a + b) / 2)]
         model = np.stack([*gradients, np.ones(a.size)], axis=1)
         change = (b - a).ravel()
@@ -159,11 +161,3 @@ def apparent_motion(frames: Array) -> tuple[float, float]:
         shifts.append(BLOCK_SIDE * np.hypot(*solution[:2]))
         evidence.append(explained / max(rest, np.finfo(np.float64).tiny) * (a.size - 3) / 2)
     return float(np.median(shifts)), float(np.median(evidence))
-
-
-def _block_means(frames: Array) -> np.ndarray[Any, np.dtype[np.float64]]:
-    count, rows, columns = len(frames), frames.shape[1] // BLOCK_SIDE, frames.shape[2] // BLOCK_SIDE
-    blocks = frames[:, : rows * BLOCK_SIDE, : columns * BLOCK_SIDE].reshape(
-        count, rows, BLOCK_SIDE, columns, BLOCK_SIDE
-    )
-    return blocks.mean(axis=(2, 4), dtype=np.float64)
