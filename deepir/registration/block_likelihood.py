@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -31,17 +30,7 @@ DISTINCT_DISTANCE = 2.0  # px; from closer starts the likelihood climbs to the s
 MODELS_WITH_STRETCH = ("affine", "homography")  # models whose linear part is kept while shifts are replaced
 
 
-@dataclass(frozen=True)
-class ShiftSelection:
-    """Which frames get shifts of maximum likelihood, and from which starts."""
-
-    min_side: int = 16  # px; blocks of smaller frames hold too few waves to select shifts
-    max_shift_range: float = 0.5  # of the frame's side; larger shifts alias, since the likelihood is periodic
-    max_integer_frames: int = 20  # the time of the integer search grows with the square of their number
-    negligible_distance: float = 0.2  # px at the frame's corners; closer motions are the same
-
-
-SELECTION = ShiftSelection()
+MAX_INTEGER_FRAMES = 20  # the time of the integer search grows with the square of their number
 
 
 def accept_by_blocks(block_ratios: list[float], n_left_out: int = 1, min_nats: float = 0.0) -> bool:
@@ -145,8 +134,9 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
         Motions `(N, 3, 3)`; the object `motion` itself if no others are accepted.
     """
     shifts = motion[:, :2, 2] / torch.tensor(weight.shape[::-1])
-    too_small = len(frames) < 3 or min(weight.shape) < SELECTION.min_side
-    if too_small or (shifts.amax(0) - shifts.amin(0)).max() > SELECTION.max_shift_range:
+    too_small = len(frames) < 3 or min(weight.shape) < 16  # px; blocks of smaller frames hold too few waves
+    # Shifts over more than half a side alias, since the likelihood is periodic.
+    if too_small or (shifts.amax(0) - shifts.amin(0)).max() > 0.5:
         return motion
     reduced, factor = likelihood_frames(frames, weight)
     residual = relative(motion)
@@ -156,7 +146,7 @@ def select_by_blocks(frames: Tensor, weight: Tensor, motion: Tensor, model: str)
     for start in initial_shifts(reduced, residual[1:, :2, 2].numpy(), is_shift):
         after = linear.clone()
         after[1:, :2, 2] = torch.from_numpy(maximise(ShiftLikelihood(reduced), start))
-        if factor * corner_distance(best, after, reduced) < SELECTION.negligible_distance:
+        if factor * corner_distance(best, after, reduced) < 0.2:  # px; the same motion
             continue
         if accept_by_blocks(block_log_ratios(reduced, best, after, GRID_2X2)):
             best = after
@@ -170,7 +160,7 @@ def initial_shifts(frames: Tensor, residual_shifts: np.ndarray, is_shift: bool) 
     misleads the search, it often finds a rotation. Shifts are `(N - 1, 2)`, px; the frames are variance-stabilised.
     """
     starts = [residual_shifts.copy()] if is_shift else []
-    if len(frames) > SELECTION.max_integer_frames:
+    if len(frames) > MAX_INTEGER_FRAMES:
         return starts
     integer = integer_shifts(frames)
     return [*starts, integer] if np.abs(integer - residual_shifts).max() > DISTINCT_DISTANCE else starts

@@ -23,19 +23,8 @@ MIN_OVERLAP = 0.15  # of the frame, that other frames must show
 CLEAR_MISFIT_RATIO = 1.5  # ratio of misfits per degree of freedom at which the lower one is clearly lower
 REJECTED_SHARE = 1 / 32  # of many frames, that are rejected at a time
 SELECTION_ROUNDS = 3  # Gauss-Newton rounds of an alignment before frames are rejected
+PAN_SHIFT = 0.2  # of the frame; larger shifts are those of a pan
 MIN_SCENE_FRAMES = 3  # beside which frames of a closed shutter are found
-
-
-@dataclass(frozen=True)
-class PanCriteria:
-    """When a camera pans, and how its frames are matched."""
-
-    min_shift: float = 0.2  # of the frame; larger shifts are those of a pan
-    certain_score: float = 3.0  # match score at which a frame is not searched in further frames
-    max_rounds: int = 3  # spanning trees, each with the pattern of the one before
-
-
-PAN = PanCriteria()
 
 
 @dataclass(frozen=True)
@@ -65,7 +54,7 @@ def largest_consistent_set(level: Level, model: str) -> FrameSelection:
         found.append(FrameSelection(match_score, *reject_frames(level, match_score > 1, motion, model)))
     best = found[-1] if has_clearly_lower_misfit(found[-1].alignment, found[0].alignment) else found[0]
     used, alignment = best.used, best.alignment
-    if used.sum() > 2 and exceeds_shift(level, alignment.motion, PAN.min_shift):
+    if used.sum() > 2 and exceeds_shift(level, alignment.motion, PAN_SHIFT):
         return register_pan(level, best, model)
     if not 1 < used.sum() < len(used):
         return best
@@ -88,7 +77,7 @@ def register_pan(level: Level, selection: FrameSelection, model: str) -> FrameSe
     n = len(level.frames)
     known = torch.arange(n) == int(selection.match_score.argmax())
     motion, pattern = identity(n), level.frames.median(0).values
-    for _ in range(PAN.max_rounds):
+    for _ in range(3):  # trees at most, each with the pattern of the one before
         motion, match_score = spanning_tree_motions(level.frames - pattern, level, model, motion, known)
         used, alignment = reject_frames(level, match_score > 1, motion, model)
         is_worse = used.sum() < selection.used.sum() or has_clearly_lower_misfit(selection.alignment, alignment)
@@ -127,7 +116,7 @@ def spanning_tree_motions(
     while True:
         k = int(torch.where(unvisited, match_score, -1.0).argmax())
         unvisited[k] = False
-        uncertain = (unvisited & (match_score < PAN.certain_score)).nonzero()[:, 0]
+        uncertain = (unvisited & (match_score < 3)).nonzero()[:, 0]  # others are not searched in further images
         if not match_score[k] > 1 or not len(uncertain):
             return motion, match_score
         step, score = match_to_reference(images[k], images[uncertain], level, model, pattern_present=False)

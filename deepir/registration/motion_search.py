@@ -29,19 +29,9 @@ from deepir.registration.block_likelihood import (
 from deepir.registration.frame_selection import largest_consistent_set
 from deepir.registration.preprocess import Level, build_level
 
-
-@dataclass(frozen=True)
-class LevelSettings:
-    """Levels of the pyramid and rounds of the alignment on them."""
-
-    search_side: int = 160  # px; longer side of the level of the coarse search, at most
-    max_final_pixels: int = 400_000  # px; larger frames are registered at half their size
-    max_rounds: int = 8  # Gauss-Newton rounds of the alignment, over all levels
-    last_level_rounds: int = 2  # of these, rounds on the last level if a level of half the size precedes it
-
-
-LEVELS = LevelSettings()
-MIN_FRAMES = 3  # for homographies
+SEARCH_SIDE = 160  # px; longer side of the level of the coarse search, at most
+MAX_FINAL_PIXELS = 400_000  # px; larger frames are registered at half their size
+MAX_ROUNDS = 8  # Gauss-Newton rounds of the alignment, over all levels
 ROTATION_SIDE = 100  # px; longer side of the block means on which the likelihood of rotations is computed
 
 
@@ -145,7 +135,7 @@ def most_likely_rotations(frames: Tensor, weight: Tensor, motion: Tensor) -> Ten
 
 def search_level(preprocessed: Tensor, weight: Tensor) -> Level:
     """Level of the coarse search, of preprocessed frames `(N, H, W)` of weight `(H, W)`."""
-    return build_level(preprocessed, weight, power_of_two(max(weight.shape) / LEVELS.search_side))
+    return build_level(preprocessed, weight, power_of_two(max(weight.shape) / SEARCH_SIDE))
 
 
 def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> list[Level]:
@@ -153,15 +143,15 @@ def final_levels(preprocessed: Tensor, weight: Tensor, coarse_factor: int) -> li
 
     Of preprocessed frames `(N, H, W)` of weight `(H, W)`. The coarse search had `coarse_factor` px per px of its level.
     """
-    last = power_of_two((weight.numel() / LEVELS.max_final_pixels) ** 0.5)
+    last = power_of_two((weight.numel() / MAX_FINAL_PIXELS) ** 0.5)
     factors = (2 * last, last) if 2 * last < coarse_factor else (last,)
     return [build_level(preprocessed, weight, factor) for factor in factors]
 
 
 def align_levels(levels: list[Level], motion: Tensor, model: str) -> Tensor:
     """Motions `(N, 3, 3)` aligned on one or two levels in turn, from initial motions `(N, 3, 3)`."""
-    last = LEVELS.last_level_rounds if levels[1:] else LEVELS.max_rounds
-    rounds = (LEVELS.max_rounds - last, last)[-len(levels) :]
+    last = 2 if levels[1:] else MAX_ROUNDS  # rounds on the last level
+    rounds = (MAX_ROUNDS - last, last)[-len(levels) :]
     for level, max_rounds in zip(levels, rounds, strict=True):
         motion = align(level, motion, model, max_rounds).motion
     return motion
@@ -179,9 +169,9 @@ def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tens
     which has its own likelihood, by Akaike's criterion. The rigid motions `(N, 3, 3)` are those of frames `(N, H, W)`
     of weight `(H, W)`; `level` holds the same frames on the final level.
     """
-    if len(motion) < MIN_FRAMES:
+    if len(motion) < 3:
         return motion
-    homography = align(level, motion, "homography", LEVELS.max_rounds).motion
+    homography = align(level, motion, "homography", MAX_ROUNDS).motion
     reduced, factor = likelihood_frames(frames, weight)
     before, after = change_pixel_size(relative(motion), factor), change_pixel_size(homography, factor)
     block_ratios = block_log_ratios(reduced, before, after, GRID_3X3)

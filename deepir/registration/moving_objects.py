@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -35,6 +35,9 @@ from deepir.registration.motion_search import (
 from deepir.registration.preprocess import Level, block_mean, sample
 from deepir.registration.robust_score import MIN_CLEAR_GAIN, log_likelihood_ratio, reregister_worst_frames, robust_nll
 from deepir.registration.shift_likelihood import ShiftLikelihood, integer_shifts, maximise
+
+#: Nats per sample of the robust score. Below the first: one scene and little else; above the second: not explained.
+GOOD_NLL, POOR_NLL = 0.7, 1.0
 
 
 def moving_object_mask(preprocessed: Tensor) -> Tensor:
@@ -100,31 +103,6 @@ def _masked_mean(values: Tensor, visible: Tensor) -> Tensor:
     return torch.where(count > 0, (values * visible).sum(0) / count.clamp_min(1), values.mean(0))
 
 
-@dataclass(frozen=True)
-class FitCriteria:
-    """When motions explain the frames well, so that no moving object is searched."""
-
-    good_nll: float = 0.7  # nats per sample of the robust score; less: one scene and little else
-    poor_nll: float = 1.0  # nats per sample; more: not explained. Between the two the misfit ratio decides
-    max_rest_ratio: float = 0.08  # misfit over that at rest, final level; edges of dark scenes reach less
-    rest_distance: float = 0.5  # px from the median shift; a closer frame seems to be at rest
-
-
-@dataclass(frozen=True)
-class CandidateCriteria:
-    """When a candidate replaces the estimate in the presence of moving objects."""
-
-    max_loss: float = 0.25  # nats per sample of the robust score, if the blocks prefer the candidate
-    max_rest_ratio: float = 0.7  # misfit over that at rest, the moving objects inpainted
-    max_rotated_ratio: float = 0.95  # misfit over that of the estimate, if frames rotate
-    max_swept: float = 3 / 8  # of the frame; objects that pass through more are inpainted, not left out
-    min_background: float = 0.4  # of the frame; a smaller background is not searched
-
-
-FIT = FitCriteria()
-CANDIDATE = CandidateCriteria()
-
-
 def register_beside_moving_objects(estimate: MotionEstimate, missing: Tensor | None = None) -> MotionEstimate:
     """Replace the estimate by candidates that discount moving objects, if these explain more of the frames.
 
@@ -142,9 +120,8 @@ def register_beside_moving_objects(estimate: MotionEstimate, missing: Tensor | N
                 motion = reregister_worst_frames(level, proposed.full_motion, proposed.model)
                 candidate = proposed.with_motion(motion)
                 gain = log_likelihood_ratio(level, estimate.full_motion, candidate.full_motion)
-                if gain > MIN_CLEAR_GAIN or (
-                    gain > -CANDIDATE.max_loss and is_likelier(estimate, candidate, burst.frames, mask)
-                ):
+                is_better, is_little_worse = gain > MIN_CLEAR_GAIN, gain > -0.25  # nats per sample
+                if is_better or (is_little_worse and is_likelier(estimate, candidate, burst.frames, mask)):
                     estimate = refine_inpainted(candidate, burst, mask)
     return estimate if missing is None else refine_inpainted(estimate, burst, missing)
 
@@ -155,16 +132,16 @@ def is_well_explained(estimate: MotionEstimate) -> bool:
     Not if all frames but one seem to be at rest: lines missing in that one may have locked the others to the pattern.
     """
     shifts = estimate.full_motion[estimate.used][:, :2, 2]
-    is_resting = (shifts - shifts.median(0).values).norm(dim=1) < FIT.rest_distance
+    is_resting = (shifts - shifts.median(0).values).norm(dim=1) < 0.5  # px
     if len(shifts) > 3 and is_resting.sum() == len(shifts) - 1:
         return False
     nll = robust_nll(estimate.coarse_level, estimate.full_motion)
-    if not FIT.good_nll < nll < FIT.poor_nll:
-        return nll <= FIT.good_nll
-    # The final level: motions of a few px change it, too.
+    if not GOOD_NLL < nll < POOR_NLL:
+        return nll <= GOOD_NLL
+    # Of the final level, which motions of a few px change, too; of that at rest, edges of dark scenes reach less.
     levels = final_levels(estimate.preprocessed, estimate.weight, estimate.coarse_level.factor)
     rest = identity(len(estimate.motion))
-    return accept_by_misfit(levels[-1].subset(estimate.used), estimate.motion, rest, FIT.max_rest_ratio)
+    return accept_by_misfit(levels[-1].subset(estimate.used), estimate.motion, rest, max_ratio=0.08)
 
 
 def alternative_estimates(estimate: MotionEstimate, mask: Tensor) -> Iterator[MotionEstimate]:
@@ -179,7 +156,7 @@ def alternative_estimates(estimate: MotionEstimate, mask: Tensor) -> Iterator[Mo
     if any_differs := is_distinct(estimate, candidate):
         yield refine(candidate)
     background = weight * ~mask.any(0)
-    if background.mean() > CANDIDATE.min_background:
+    if background.mean() > 0.4:  # of the frame; a smaller one is not searched
         candidate = coarse_search(frames, estimate.preprocessed * (background > 0), background, model)
         if is_distinct(estimate, candidate):
             any_differs = True
@@ -229,7 +206,7 @@ def is_likelier(estimate: MotionEstimate, candidate: MotionEstimate, frames: Ten
         motions = [relative(each.motion[common[each.used]]) for each in (estimate, candidate)]
         seen, covered = frames[common], mask[common]
         swept = covered.any(0)
-        if swept.float().mean() < CANDIDATE.max_swept:
+        if swept.float().mean() < 3 / 8:  # of the frame; the objects are left out
             versions = [likelihood_frames(seen, weight * ~swept)]
         else:
             inpainted = [inpaint_background(seen, covered, weight, each) for each in motions]
@@ -241,13 +218,11 @@ def is_likelier(estimate: MotionEstimate, candidate: MotionEstimate, frames: Ten
             if not accept_by_blocks([sum(block) for block in zip(*block_ratios, strict=True)]):
                 return False
             level = search_level(inpaint_mean(estimate.preprocessed, mask, weight), weight).subset(common)
+            before, after, rest = *motions, identity(len(motions[0]))
             # Blocks of frames that rotate or stretch do not shift, whatever the motion: their likelihood says little.
-            if has_linear_part(motions[0], weight):
-                return accept_by_misfit(level, motions[1], motions[0], CANDIDATE.max_rotated_ratio)
-            rest = identity(len(motions[0]))
-            return accept_by_misfit(level, motions[1], motions[0]) or accept_by_misfit(
-                level, motions[1], rest, CANDIDATE.max_rest_ratio
-            )
+            if has_linear_part(before, weight):
+                return accept_by_misfit(level, after, before, max_ratio=0.95)
+            return accept_by_misfit(level, after, before) or accept_by_misfit(level, after, rest, max_ratio=0.7)
     return n_after > n_before and is_well_explained(candidate)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +22,8 @@ SEARCH_ANGLES = [math.radians(a) for a in (0, -2, 2, -4, 4, -6, 6, -8, 8)]  # ra
 ROTATION_MARGIN = 1.08
 WHITENING_EXPONENT = 0.7  # 0: cross-correlation, 1: phase correlation
 BAND_SIGMA = 0.12  # cycles per px of the level; Gaussian band in which spectra are correlated
-
-
+MAX_WAVENUMBER = 2.5  # rad per px; the likelihood uses no shorter waves, which hold almost no scene
+N_RINGS = 14  # rings of waves of about one length, each with one power of scene and one of noise
 #: Height of a correlation peak, in standard deviations over all lags, at which two frames match: per root of the number
 #: of pixels, and its bounds. Frames of other scenes seldom reach the larger one, those of one scene reach 11 and more.
 PEAK_PER_ROOT_PIXEL, PEAK_BOUNDS = 0.12, (4.5, 8.0)
@@ -114,20 +113,6 @@ def whitened_correlation(reference: Tensor, spectra: Tensor, pattern_present: bo
     return torch.fft.irfft2(band * cross / (power + floor) ** WHITENING_EXPONENT, s=size)
 
 
-@dataclass(frozen=True)
-class WaveSelection:
-    """Which waves of the frames' spectra the likelihood uses."""
-
-    max_wavenumber: float = 2.5  # rad per px; shorter waves hold almost no scene
-    axis_exclusion: float = 2.5  # cycles per frame from either axis, to which the taper spreads lines
-    n_rings: int = 14  # rings of waves of about one length, each with one power of scene and one of noise
-    high_band: float = 0.8  # of the largest wavenumber; shorter waves: initial powers of noise and pattern
-    min_wavenumber: float = 0.2  # rad per px; integer search: what leaves the frame dominates longer waves
-
-
-WAVES = WaveSelection()
-
-
 def maximise(likelihood: ShiftLikelihood | RotationLikelihood, parameters: np.ndarray) -> np.ndarray:
     """Parameters `(K, P)` of a local maximum of a likelihood, px: by L-BFGS in turn with estimates of the powers.
 
@@ -155,20 +140,17 @@ class ShiftLikelihood:
         taper = hann_window(h, w).double()
         frames = (frames - (frames * taper).sum((1, 2), keepdim=True) / taper.sum()) * taper
         y, x = (2 * np.pi * waves for waves in (np.fft.fftfreq(h), np.fft.rfftfreq(w)))
-        rows, columns = (
-            (WAVES.axis_exclusion * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < WAVES.max_wavenumber)
-            for side, each in ((h, y), (w, x))
+        rows, columns = (  # without 2.5 cycles per frame beside the axes, to which the taper spreads lines
+            (2.5 * 2 * np.pi / side < np.abs(each)) & (np.abs(each) < MAX_WAVENUMBER) for side, each in ((h, y), (w, x))
         )
         self.y, self.x = y[rows], x[columns]
         self.size, self.band = (h, w), np.ix_(rows, columns)
         spectra = torch.fft.rfft2(frames).numpy() / float(taper.square().sum().sqrt())
         self.frames = np.ascontiguousarray(spectra[:, rows][:, :, columns])
         self.wavenumber = np.hypot(self.y[:, None], self.x)
-        self.ring = np.digitize(
-            self.wavenumber, np.geomspace(2 * np.pi / max(h, w), WAVES.max_wavenumber, WAVES.n_rings)
-        )
-        self.ring_sizes = np.bincount(self.ring.ravel(), minlength=WAVES.n_rings + 1)
-        self._set_initial_powers(self.wavenumber > WAVES.high_band * WAVES.max_wavenumber)
+        self.ring = np.digitize(self.wavenumber, np.geomspace(2 * np.pi / max(h, w), MAX_WAVENUMBER, N_RINGS))
+        self.ring_sizes = np.bincount(self.ring.ravel(), minlength=N_RINGS + 1)
+        self._set_initial_powers(self.wavenumber > 0.8 * MAX_WAVENUMBER)
 
     def _set_initial_powers(self, high_band: np.ndarray) -> None:
         """Initial powers: at high frequencies the temporal variance is noise and the rest of the power is pattern."""
@@ -179,7 +161,7 @@ class ShiftLikelihood:
         noise = max(float(temporal_variance[high_band].mean()), self.noise_floor)
         mean_over_median = 1 / np.log(2)  # of an exponential distribution, which is that of a wave's power
         pattern = max(mean_over_median * float(np.median(power[high_band])) - noise, 0.1 * noise)
-        total = np.bincount(self.ring.ravel(), power.ravel(), WAVES.n_rings + 1)
+        total = np.bincount(self.ring.ravel(), power.ravel(), N_RINGS + 1)
         ring_mean = (total / np.maximum(self.ring_sizes, 1))[self.ring]
         self.scene = np.maximum(ring_mean - pattern - noise, 0.02 * pattern)
         self.pattern, self.noise = pattern, np.full(power.shape, noise)
@@ -199,7 +181,7 @@ class ShiftLikelihood:
         from deepir.kernels.shift_likelihood import expected_powers
 
         n, rows = len(self.frames), len(self.y)
-        expected, pattern_powers = np.empty((rows, WAVES.n_rings + 1, 2)), np.empty(rows)
+        expected, pattern_powers = np.empty((rows, N_RINGS + 1, 2)), np.empty(rows)
         for _ in range(6):
             expected_powers(0, rows, *self._kernel_arguments(shifts), self.ring, expected, pattern_powers)
             scene, noise = (expected.sum(0) / np.maximum(self.ring_sizes, 1)[:, None]).T
@@ -258,5 +240,6 @@ def first_harmonic(likelihood: ShiftLikelihood, k: int, other_frames: np.ndarray
     explained = (pattern + scene * ratio) * ratio * ahead + (pattern * ratio + scene) * behind
     values = ((scene + pattern + noise) * ratio * power - explained) / root - ratio * phase.sum(0)
     harmonic = np.zeros((likelihood.size[0], likelihood.size[1] // 2 + 1), complex)
-    harmonic[likelihood.band] = np.where(likelihood.wavenumber < WAVES.min_wavenumber, 0, values)
+    too_long = likelihood.wavenumber < 0.2  # rad per px; what leaves the frame dominates such waves
+    harmonic[likelihood.band] = np.where(too_long, 0, values)
     return harmonic

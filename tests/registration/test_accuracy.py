@@ -97,9 +97,10 @@ def test_a_pan_by_up_to_the_whole_frame_is_followed_to_its_end(seed, step, count
 
 def test_a_large_frame_is_registered_from_half_its_size(monkeypatch):
     frames, truth = simulated("camera", **COUNTS)
-    for most, final in ((0.3, {}), (0.5, {"max_final_pixels": SHAPE[0] * SHAPE[1] // 3})):
-        monkeypatch.setattr(motion_search, "LEVELS", motion_search.LevelSettings(search_side=40, **final))
-        assert errors(register(frames), truth).max() < most
+    monkeypatch.setattr(motion_search, "SEARCH_SIDE", 40)
+    assert errors(register(frames), truth).max() < 0.3
+    monkeypatch.setattr(motion_search, "MAX_FINAL_PIXELS", SHAPE[0] * SHAPE[1] // 3)
+    assert errors(register(frames), truth).max() < 0.5
 
 
 @pytest.mark.parametrize("shape", [(20, 400), (400, 20)])

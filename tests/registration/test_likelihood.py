@@ -34,9 +34,9 @@ def test_clouds_whose_residuals_are_least_at_a_far_place_are_found_by_integer_sh
     sim, frames = recorded(name, seed, n_frames=3, **camera)
     assert off(register(frames).motion, sim) < 0.5
     # Without integer shifts they are not found, nor by the search beside moving objects, nor by that of a pan.
-    monkeypatch.setattr(block_likelihood, "SELECTION", block_likelihood.ShiftSelection(max_integer_frames=2))
-    monkeypatch.setattr(moving_objects, "FIT", moving_objects.FitCriteria(good_nll=torch.inf))
-    monkeypatch.setattr(frame_selection, "PAN", frame_selection.PanCriteria(min_shift=1.0))
+    monkeypatch.setattr(block_likelihood, "MAX_INTEGER_FRAMES", 2)
+    monkeypatch.setattr(moving_objects, "GOOD_NLL", torch.inf)
+    monkeypatch.setattr(frame_selection, "PAN_SHIFT", 1.0)
     assert not off(register(frames).motion, sim) < 0.5
 
 
