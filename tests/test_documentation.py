@@ -1,6 +1,8 @@
-"""What the documentation shows runs, what it lists is there, and its links lead somewhere."""
+"""What documentation and docstrings show runs, what is listed is there, and links lead somewhere."""
 
+import doctest
 import functools
+import importlib
 import re
 import typing
 from dataclasses import fields as dataclass_fields
@@ -186,3 +188,17 @@ def test_the_hooks_need_no_network():
     hooks = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())
     assert [repo["repo"] for repo in hooks["repos"]] == ["local"]
     assert all(hook["language"] == "system" for repo in hooks["repos"] for hook in repo["hooks"])
+
+
+MODULES = sorted(
+    str(path.relative_to(ROOT).with_suffix("")).replace("/", ".")
+    for path in (ROOT / "deepir").rglob("*.py")
+    if ">>> " in path.read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_a_module_hold(name):
+    result = doctest.testmod(importlib.import_module(name))
+    assert result.attempted > 0
+    assert result.failed == 0

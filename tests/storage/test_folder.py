@@ -1,18 +1,22 @@
-"""The folder of a run: who may write it, and how a new run takes the place of a former one."""
+"""The folder of a run: who may write it, how a new run replaces a former one; checkpoints are whole, or refused."""
 
 import json
 import os
+import random
 import re
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import torch
 
 import deepir.result
-from deepir.errors import ConfigError
+from deepir.errors import ConfigError, DataError
 from deepir.storage.folder import RUN_FILES, Record, RunFolder, locked_files, locked_folder
+from deepir.storage.stored import FileCheckpoint
 
 
 @pytest.fixture
@@ -119,3 +123,47 @@ def test_a_record_is_read_as_it_was_written(tmp_path):
     RunFolder(tmp_path).write_record(record)
     assert RunFolder(tmp_path).record() == record
     assert json.loads((tmp_path / "run.json").read_text())["seconds"] == 0
+
+
+TENSORS = {"scene": torch.arange(12.0).reshape(3, 4), "count": torch.tensor(3), "none": torch.zeros(0, 2)}
+POSITION = {"stage": 1, "history": [{"stage": "scene", "iteration": 1, "loss": 0.1}]}
+
+
+@pytest.fixture
+def saved(tmp_path):
+    checkpoint = FileCheckpoint(tmp_path / "checkpoint.safetensors", "this run")
+    checkpoint.save(TENSORS, POSITION)
+    return checkpoint
+
+
+def is_whole(found):
+    tensors, position = found
+    same = tensors.keys() == TENSORS.keys() and all(torch.equal(tensors[k], TENSORS[k]) for k in TENSORS)
+    return same and position == POSITION
+
+
+def test_it_comes_back_exactly(saved):
+    assert is_whole(saved.load())
+
+
+def test_no_flipped_bit_is_taken_for_another_state(saved):
+    whole, rng = saved.path.read_bytes(), random.Random(0)
+    for bit in rng.sample(range(8 * len(whole)), 200):
+        damaged = bytearray(whole)
+        damaged[bit // 8] ^= 1 << bit % 8
+        saved.path.write_bytes(damaged)
+        with suppress(DataError):
+            assert is_whole(saved.load())  # a bit of the header's padding
+
+
+def test_a_state_that_is_cut_off_is_refused(saved):
+    whole = saved.path.read_bytes()
+    for length in (0, 8, len(whole) // 2, len(whole) - 1):
+        saved.path.write_bytes(whole[:length])
+        with pytest.raises(DataError):
+            saved.load()
+
+
+def test_a_state_of_another_run_is_refused(saved):
+    with pytest.raises(DataError, match="of other frames, another configuration or another version"):
+        FileCheckpoint(saved.path, "another").load()
