@@ -19,9 +19,9 @@ from deepir.cli.terminal import Interrupted, Interruptible, echo, notify
 from deepir.config import Config
 from deepir.correct_recording import sensor_of_burst
 from deepir.errors import ConfigError, DataError, DeepIRError
-from deepir.io import atomic_file, atomic_files, readers, stream_data
+from deepir.io import atomic_files, readers, stream_data
 from deepir.io.frames import digest
-from deepir.io.output import open_writer, output_type, write_frames
+from deepir.io.output import open_writer, output_type, write_frames, write_text
 from deepir.io.radiometry import unit_metadata
 from deepir.kernels.memory import peak_memory
 from deepir.messages import labelled
@@ -209,8 +209,7 @@ def _corrected(task: Task, folder: Path, settings: Sequence[str], made_by: dict[
         found |= {"status": FAILED, "messages": [f"{type(error).__name__}: {error} ({where})"]}
     found |= {"seconds": round(time.perf_counter() - begun, 2), "peak_memory_mb": peak_memory()}
     line = json.dumps(found)
-    with atomic_file(task.record(folder)) as part:
-        part.write_text(line + "\n", encoding="utf-8")
+    write_text(task.record(folder), line + "\n")
     echo(line)
     return str(found["status"])
 

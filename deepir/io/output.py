@@ -85,11 +85,15 @@ def write_npz(path: PathLike, arrays: Mapping[str, Array]) -> None:
         np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
+def write_text(path: PathLike, text: str) -> None:
+    """Write a text, UTF-8."""
+    with atomic_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def write_json(path: PathLike, content: Any) -> None:
     """Write JSON; NumPy's numbers and arrays become plain, NaN and infinity become null."""
-    text = json.dumps(to_json_types(content), indent=2, allow_nan=False, ensure_ascii=False)
-    with atomic_file(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+    write_text(path, json.dumps(to_json_types(content), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def write_tiff(path: PathLike, frames: Array, metadata: Mapping[str, Any] | None = None) -> None:

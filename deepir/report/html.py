@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from deepir.arrays import Array
-from deepir.io.output import atomic_file, to_json_types
+from deepir.io.output import to_json_types, write_text
 from deepir.io.radiometry import KELVIN, unit_metadata
 from deepir.io.tone_mapping import DEVIATIONS, PALETTES, SIGNED, WHITE_HOT, colour_table, display_limits
 from deepir.messages import DISTRUSTED, NOTES, WARNINGS, by_importance, labelled
@@ -52,8 +52,7 @@ def write_page(path: Path, body: str, scripts: Sequence[str], data: Mapping[str,
     page = _read("page.html")
     for name, text in parts.items():
         page = page.replace(f"%{name}%", text)
-    with atomic_file(path) as part:
-        part.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def _read(name: str) -> str:

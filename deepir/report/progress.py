@@ -22,10 +22,10 @@ T = TypeVar("T")
 
 
 class ProgressLines:
-    """Prints a line when a stage begins and ends, and every `every` seconds."""
+    """Prints a line when a stage begins and ends, and every `LINE_INTERVAL`."""
 
-    def __init__(self, say: Callable[[str], None], every: float = LINE_INTERVAL) -> None:
-        self.say, self.every = say, every
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self.say = say
         self.start = self.last_printed = time.monotonic()
         self.first: float | None = None
         self.last: Progress | None = None
@@ -37,7 +37,7 @@ class ProgressLines:
             self.start, self.first = now, progress.done
         if (last := self.last) is not None and last.stage != progress.stage:
             self.say(f"{last.stage} ends at {last.iteration}/{last.iterations}: loss {last.loss:.6g}")
-        if last is None or last.stage != progress.stage or now - self.last_printed > self.every:
+        if last is None or last.stage != progress.stage or now - self.last_printed > LINE_INTERVAL:
             self.last_printed = now
             self.say(self._line(progress, now))
         self.last = progress
@@ -54,15 +54,15 @@ class ProgressLines:
 class ProgressBar:
     """Advances a bar with stage, iteration, loss, held-out error and the time left at most."""
 
-    def __init__(self, bar: RichProgress, every: float = 2.0) -> None:
-        self.bar, self.every = bar, every
+    def __init__(self, bar: RichProgress) -> None:
+        self.bar = bar
         self.last, self.held_out = -math.inf, ""
         self.task = bar.add_task("registering", total=None, what="")
 
     def __call__(self, progress: Progress) -> None:
         """Advance the bar."""
         now = time.monotonic()
-        if now - self.last > self.every:
+        if now - self.last > 2:  # s
             self.last, error = now, progress.held_out()
             self.held_out = f"  held-out {error:.4g}" if math.isfinite(error) else ""
         what = f"{progress.iteration}/{progress.iterations}  loss {progress.loss:.6g}{self.held_out}"

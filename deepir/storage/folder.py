@@ -17,7 +17,7 @@ from filelock import FileLock, Timeout
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from deepir.errors import ConfigError, DataError, DeepIRError
-from deepir.io.output import atomic_file, write_json
+from deepir.io.output import write_json, write_text
 from deepir.paths import printable
 
 LOCK_NAME = ".lock"  # file within a folder that is held
@@ -244,8 +244,7 @@ class RunFolder:
         folder = self if self.state() == "new" else self.unfinished
         try:
             folder.path.mkdir(exist_ok=True)
-            with atomic_file(folder.config) as part:
-                part.write_text(CONFIG_HEADER + config, encoding="utf-8")
+            write_text(folder.config, CONFIG_HEADER + config)
             folder.write_record(record)
         except OSError as error:
             raise ConfigError(f"output.dir: {folder.path} cannot be written: {error.strerror or error}") from None

@@ -122,7 +122,7 @@ def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
         except DeepIRError as error:
             return " ".join(str(error).split())
         except Exception as error:  # whatever it is, it ends this cell only
-            return " ".join(f"{type(error).__name__}: {error}".split())
+            return _failure(error)
     return None
 
 

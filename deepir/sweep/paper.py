@@ -14,14 +14,14 @@ from PIL import Image
 
 from deepir.arrays import Array
 from deepir.config import load
-from deepir.io import atomic_file
+from deepir.io.output import atomic_file, write_text
 from deepir.io.tone_mapping import SIGNED, WHITE_HOT
 from deepir.metrics import align
 from deepir.paths import printable
 from deepir.report.drawing import composed, draw_map
 from deepir.runner import prepare
 from deepir.sweep.cells import BURST_AXIS, REPEAT_AXES, Cell
-from deepir.sweep.table import Group, Row, group_rows, write_text
+from deepir.sweep.table import Group, Row, group_rows
 
 #: Metric -> heading, decimals, and whether more is better; None: neither.
 METRICS: dict[str, tuple[str, int, bool | None]] = {

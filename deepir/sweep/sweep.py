@@ -11,12 +11,12 @@ from pathlib import Path
 
 from deepir.config import dump, load
 from deepir.errors import ConfigError
+from deepir.io.output import write_text
 from deepir.paths import expanded
 from deepir.storage.folder import Record, locked_folder, remove_temporaries
 from deepir.sweep import table
 from deepir.sweep.cells import SWEEP_FILES, Axis, Cell, check_cells, check_inputs, make_cells
 from deepir.sweep.paper import write_paper
-from deepir.sweep.table import write_text
 
 
 @dataclass

@@ -18,7 +18,6 @@ from PIL import Image
 
 from deepir.arrays import Array
 from deepir.errors import ConfigError
-from deepir.io import atomic_file
 from deepir.paths import printable
 from deepir.report.drawing import COLOURS, Axes, Scale, write_figure
 from deepir.report.html import write_page
@@ -241,12 +240,6 @@ def csv_table(found: Sequence[Row]) -> str:
     return stream.getvalue()
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write a text of a sweep, whole or not at all."""
-    with atomic_file(path) as part:
-        part.write_text(text, encoding="utf-8")
-
-
 def check_free(folder: Path) -> None:
     """Check that a table may be written.
 
@@ -293,7 +286,7 @@ def _metrics(cell: Cell) -> dict[str, Any]:
     return found | dict.fromkeys(TABLE_METRICS.keys() & found.keys()) | numbers
 
 
-def _figure(spread: tuple[float, float, float] | None, decimals: int | None) -> str:
+def _figure(spread: Spread | None, decimals: int | None) -> str:
     if spread is None:
         return "–"
     middle, least, most = (f"{each:.3g}" if decimals is None else f"{each:.{decimals}f}" for each in spread)
