@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 from deepir.errors import ConfigError
+from deepir.io.output import write_text
 from deepir.storage.folder import Record, RunFolder
 from deepir.sweep.cells import Cell
 from deepir.sweep.table import (
@@ -20,7 +21,6 @@ from deepir.sweep.table import (
     table_lines,
     write_plots,
     write_report,
-    write_text,
 )
 
 
