@@ -26,27 +26,16 @@ MOTION_POINTS = (-1 / 3, 0.0, 1 / 3)  # coordinates, in sides of the frame, at w
 
 @dataclass(frozen=True)
 class PatternStatistics:
-    """Statistics of a fixed pattern.
+    """Statistics of a fixed pattern."""
 
-    Attributes:
-        pattern: (h, w), in the data's units, mean zero.
-        correlation: (2 L + 1, 2 L + 1), autocorrelation of the pattern without its shading; lag zero in the middle.
-        lengths: Correlation lengths along x and y, px.
-        columns: Share of the variance that is constant along columns.
-        rows: Share of the variance that is constant along rows.
-        shading: Share of the variance that is a quadratic polynomial.
-        temporal: (K,), autocorrelation from frame to frame; None if the pattern was seen once.
-        stable_frames: Frames for which the pattern is unchanged, infinite if it never changes; None as above.
-    """
-
-    pattern: Array
-    correlation: Array
-    lengths: tuple[float, float]
-    columns: float
-    rows: float
-    shading: float
-    temporal: Array | None = None
-    stable_frames: float | None = None
+    pattern: Array  # (h, w), in the data's units, mean zero
+    correlation: Array  # (2 L + 1, 2 L + 1), autocorrelation of the pattern without its shading; lag zero in the middle
+    lengths: tuple[float, float]  # correlation lengths along x and y, px
+    columns: float  # share of the variance that is constant along columns
+    rows: float  # share of the variance that is constant along rows
+    shading: float  # share of the variance that is a quadratic polynomial
+    temporal: Array | None = None  # (K,), autocorrelation from frame to frame; None if the pattern was seen once
+    stable_frames: float | None = None  # for which the pattern is unchanged; infinite: it never changes
 
     def autocorrelation_at(self, shifts: Array) -> Array:
         """Autocorrelation at shifts (..., 2), x and y in px, by the nearest lag."""
@@ -156,17 +145,11 @@ def temporal_autocorrelation(frames: Array, good: Array) -> Array:
 
 @dataclass(frozen=True)
 class BurstAssessment:
-    """How well a burst separates the pattern from the scene.
+    """How well a burst separates the pattern from the scene."""
 
-    Attributes:
-        displacements: (P, N, 2), motion of each frame relative to the first at P points, x and y in px.
-        residual_share: Deviation of the pattern in the registered average, over that in a frame.
-        flags: What the burst lacks, in words.
-    """
-
-    displacements: Array
-    residual_share: float
-    flags: list[str] = field(default_factory=list)
+    displacements: Array  # (P, N, 2), motion of each frame relative to the first at P points, x and y in px
+    residual_share: float  # deviation of the pattern in the registered average, over that in a frame
+    flags: list[str] = field(default_factory=list)  # what the burst lacks, in words
 
     @property
     def independent_looks(self) -> float:

@@ -20,15 +20,10 @@ ZERO_CELSIUS = 273.15  # K
 
 @dataclass(frozen=True)
 class Linear:
-    """Kelvin = `scale` counts + `zero`.
+    """Kelvin = `scale` counts + `zero`."""
 
-    Attributes:
-        scale: K per count: 0.01 for TLinear (K x 100), 0.04 and 0.1 elsewhere, 1 for data in kelvin.
-        zero: K at zero counts; 273.15 with scale 1 for data in degrees Celsius.
-    """
-
-    scale: float
-    zero: float = 0.0  # kelvin of zero counts; 273.15 with scale 1 for data in degrees Celsius
+    scale: float  # K per count: 0.01 for TLinear (K x 100), 0.04 and 0.1 elsewhere, 1 for data in kelvin
+    zero: float = 0.0  # K at zero counts; 273.15 with scale 1 for data in degrees Celsius
 
     def kelvin(self, counts: Array) -> Array:
         """Temperature of counts of any shape, K, float32."""

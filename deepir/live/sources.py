@@ -96,25 +96,15 @@ def virtual_camera(rate: float, palette: str, tones: str) -> Iterator[Callable[[
 
 @dataclass(frozen=True)
 class CorrectedFrame:
-    """A corrected frame, and the state of its corrector.
+    """A corrected frame, and the state of its corrector."""
 
-    Attributes:
-        number: Of the frame, from 1.
-        raw: (h, w), as it came.
-        corrected: (h, w), float32.
-        status: Of the corrector.
-        rate: Frames a second.
-        delay: Of the correction, s.
-        dropped: Frames that came too late, so far.
-    """
-
-    number: int
-    raw: Array
-    corrected: Array
-    status: Status
-    rate: float
-    delay: float
-    dropped: int
+    number: int  # of the frame, from 1
+    raw: Array  # (h, w), as it came
+    corrected: Array  # (h, w), float32
+    status: Status  # of the corrector
+    rate: float  # frames a second
+    delay: float  # of the correction, s
+    dropped: int  # frames that came too late, so far
 
 
 def play(frames: Iterable[Array], corrector: Corrector) -> Iterator[CorrectedFrame]:

@@ -17,15 +17,10 @@ from deepir.operators.linear import Linear, Shape, identity
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Instants at which an operator needs its input; by default those of the frames.
+    """Instants at which an operator needs its input; by default those of the frames."""
 
-    Attributes:
-        steps: Instants per frame after the first.
-        n_before: Instants before the first frame.
-    """
-
-    steps: int = 1
-    n_before: int = 0
+    steps: int = 1  # instants per frame after the first
+    n_before: int = 0  # instants before the first frame
 
     def count(self, n_frames: int) -> int:
         """Number of instants for a number of frames."""

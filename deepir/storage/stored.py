@@ -33,15 +33,10 @@ from deepir.storage.folder import RUN_FILES, Lock, Record, RunFolder
 
 @dataclass(frozen=True)
 class FileCheckpoint:
-    """File with the state of a solve, see `deepir.optim.objective.Checkpoint`.
-
-    Attributes:
-        path: The file.
-        run: Identity of the run; a state that was saved with another one is not read.
-    """
+    """File with the state of a solve, see `deepir.optim.objective.Checkpoint`."""
 
     path: Path
-    run: str = ""
+    run: str = ""  # identity of the run; a state that was saved with another one is not read
 
     def __str__(self) -> str:
         return str(self.path)

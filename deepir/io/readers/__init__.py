@@ -110,17 +110,11 @@ def find_reader(path: Path) -> Reader | None:
 
 @dataclass(frozen=True)
 class Recording:
-    """A file, a folder or a glob with its reader. Whatever cannot be read is a `DataError`.
-
-    Attributes:
-        path: The file, folder or glob.
-        reader: Of its format.
-        key: Name of the array in a file that holds several.
-    """
+    """A file, a folder or a glob with its reader. Whatever cannot be read is a `DataError`."""
 
     path: Path
     reader: Reader
-    key: str | None = None
+    key: str | None = None  # name of the array in a file that holds several
 
     @property
     def source(self) -> str:
