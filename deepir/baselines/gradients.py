@@ -9,7 +9,6 @@ import numpy as np
 from deepir.baselines.rival import Array, estimate_offset, last_of, rival
 from deepir.multiview.pattern_gradients import difference_adjoint, poisson
 
-STEP_LENGTH = 1.0  # largest change of a pixel by the first frame, in typical gradients
 TV_SMOOTHING = 0.1  # smoothing of the total variation at zero, in typical gradients
 TRIMMED_SHARE = 0.25  # share of the frames left out at either end of the sorted gradients
 
@@ -49,7 +48,10 @@ def multiview_tv_recursive(frames: Array) -> Array:
 
 
 def offsets_over_time(frames: Array) -> Iterator[Array]:
-    """Offset (h, w), mean zero, after each frame of (N, h, w), with steps of length `1 / sqrt(k + 1)`."""
+    """Offset (h, w), mean zero, after each frame of (N, h, w).
+
+    By frame k a pixel changes by `1 / sqrt(k + 1)` typical gradients at most.
+    """
     offset = np.zeros(frames.shape[1:])
     typical = float(np.median(np.abs(np.diff(frames[0], axis=-1)))) or 1.0
     for k, frame in enumerate(frames):
@@ -57,5 +59,5 @@ def offsets_over_time(frames: Array) -> Iterator[Array]:
         for axis in (-1, -2):
             gradient = np.diff(frame - offset, axis=axis)
             slope += difference_adjoint(gradient / np.hypot(gradient, TV_SMOOTHING * typical), axis)
-        offset += STEP_LENGTH * typical / np.sqrt(k + 1) * slope / 4
+        offset += typical / np.sqrt(k + 1) * slope / 4
         yield offset - offset.mean()

@@ -15,14 +15,10 @@ from deepir.denoisers.unet import apply_network
 from deepir.errors import ConfigError
 from deepir.registry import register
 
-PATCH_SIDE = 5  # side of a patch, px
-SEARCH_RADIUS = 6  # largest distance of patches that are compared, px
-FILTER_STRENGTH = 0.8  # filter parameter h, noise standard deviations
 WAVELET = "db2"  # Daubechies wavelet with two vanishing moments
 MIRRORED_MARGIN = 16  # mirrored margin, px: the shifts are cyclic
 #: Factor on the universal threshold, which is meant for a single image, not for an average over shifts.
 THRESHOLD_FACTOR = 0.75
-MAX_SHIFT = 3  # largest shift along each axis, px
 
 
 @register("denoiser", "nl_means")
@@ -33,9 +29,9 @@ def nl_means(picture: Tensor, noise: float) -> Tensor:
     low = picture.min()
     span = float((picture.max() - low).clamp(min=1e-30))  # it works with values of about one
     options = {
-        "patch_size": PATCH_SIDE,
-        "patch_distance": SEARCH_RADIUS,
-        "h": FILTER_STRENGTH * noise / span,
+        "patch_size": 5,  # px
+        "patch_distance": 6,  # px
+        "h": 0.8 * noise / span,  # the filter parameter
         "sigma": noise / span,
     }
     found = _of_planes((picture - low) / span, lambda plane: denoise_nl_means(plane, fast_mode=True, **options))
@@ -63,7 +59,7 @@ def wavelets(picture: Tensor, noise: float) -> Tensor:
 
     def denoise(plane: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         padded = np.pad(plane, MIRRORED_MARGIN, "symmetric")
-        found = cycle_spin(padded, denoise_wavelet, MAX_SHIFT, workers=1, func_kw=options)
+        found = cycle_spin(padded, denoise_wavelet, 3, workers=1, func_kw=options)  # px
         return np.asarray(found[MIRRORED_MARGIN:-MIRRORED_MARGIN, MIRRORED_MARGIN:-MIRRORED_MARGIN])
 
     try:

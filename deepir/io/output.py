@@ -29,7 +29,6 @@ from deepir.io.tone_mapping import (
 
 PathLike = str | os.PathLike[str]
 Write = Callable[[Array], None]
-FILM_FRAME_RATE = 30  # frames a second of a film
 
 
 @contextmanager
@@ -212,7 +211,7 @@ def mp4(path: Path, palette: str, mapping: str) -> Iterator[Write]:
             nonlocal track, low, high
             if track is None:
                 codec = "libx264" if "libx264" in av.codecs_available else "mpeg4"
-                track = container.add_stream(codec, rate=FILM_FRAME_RATE)
+                track = container.add_stream(codec, rate=30)
                 track.height, track.width = (side // 2 * 2 for side in frame.shape)
                 track.pix_fmt = "yuv420p"
                 low, high = display_limits(frame)

@@ -26,7 +26,6 @@ from deepir.recording.keyframes import Keyframes, spread
 from deepir.recording.segments import Segment, estimate_segments
 
 SWITCH_INTERVAL = 0.5e-3  # s that a thread keeps the interpreter while keyframes are sent: frames wait no longer
-NICENESS = 10  # of the process, where systems have it: frames come first
 QUICK_KEYFRAMES = 24  # that a quick estimate uses at most: with more the fine offset has the same errors
 READY = b"r"  # what the process writes first
 ENDED = "the estimating process ended by itself; it is started again"
@@ -190,7 +189,7 @@ def serve(requests: IO[bytes], answers: IO[bytes]) -> None:
 def main() -> None:
     """The process: requests come by standard input, answers leave by what was standard output."""
     if hasattr(os, "nice"):
-        os.nice(NICENESS)
+        os.nice(10)  # where systems have it: frames come first
     answers: Any = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever prints does not disturb
     answers.write(READY)

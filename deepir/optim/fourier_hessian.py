@@ -23,7 +23,6 @@ N_MOTION_POSITIONS = 5  # positions along each axis of the frame at which the mo
 #: Weight of the scene's squared gradient under the weak prior, relative to the precision of a frame.
 GRADIENT_WEIGHT = 0.001
 N_FREQUENCIES = 24  # frequencies along each axis of the spectrum
-N_POSITIONS = 5  # positions along each axis of the frame
 #: Polynomials in the sub-pixel shift: six times the weights of the four coefficients of a cubic B-spline.
 SPLINE_POLYNOMIALS = ((1.0, -3.0, 3.0, -1.0), (4.0, 0.0, -6.0, 3.0), (1.0, 3.0, 3.0, -3.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -180,7 +179,7 @@ def _tables(size: tuple[int, int], device: torch.device) -> tuple[Tensor, Tensor
         squared response of a shifted cubic B-spline to each wave as a polynomial in the shift, (7, N_FREQUENCIES).
     """
     waves = (torch.arange(N_FREQUENCIES, dtype=torch.float64) + 0.5) * (math.pi / N_FREQUENCIES)
-    y, x = (side * torch.linspace(-0.4, 0.4, N_POSITIONS, dtype=torch.float64) for side in size)
+    y, x = (side * torch.linspace(-0.4, 0.4, N_MOTION_POSITIONS, dtype=torch.float64) for side in size)
     positions = torch.cartesian_prod(x, y, x.new_ones(1)).T
     prior = GRADIENT_WEIGHT * (4 - 2 * waves.cos() - 2 * waves.cos()[:, None])
     response = waves.new_zeros(7, N_FREQUENCIES)

@@ -31,6 +31,7 @@ from deepir.registration.preprocess import Level, build_level
 
 SEARCH_SIDE = 160  # px; longer side of the level of the coarse search, at most
 MAX_FINAL_PIXELS = 400_000  # px; larger frames are registered at half their size
+MIN_FRAMES = 3  # for homographies
 MAX_ROUNDS = 8  # Gauss-Newton rounds of the alignment, over all levels
 ROTATION_SIDE = 100  # px; longer side of the block means on which the likelihood of rotations is computed
 
@@ -169,7 +170,7 @@ def select_homography(frames: Tensor, weight: Tensor, level: Level, motion: Tens
     which has its own likelihood, by Akaike's criterion. The rigid motions `(N, 3, 3)` are those of frames `(N, H, W)`
     of weight `(H, W)`; `level` holds the same frames on the final level.
     """
-    if len(motion) < 3:
+    if len(motion) < MIN_FRAMES:
         return motion
     homography = align(level, motion, "homography", MAX_ROUNDS).motion
     reduced, factor = likelihood_frames(frames, weight)

@@ -19,7 +19,6 @@ from deepir.io.radiometry import KELVIN, Radiometry, resolve_radiometry
 from deepir.io.readers import Array, Reader
 
 GDAL_NODATA = 42113  # the tag of the value of lost samples, a text
-PALETTE_PHOTOMETRIC = 3  # PhotometricInterpretation of a palette picture
 
 # Python prints messages of a library's logger that nobody handles; ours become errors instead.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
@@ -106,7 +105,7 @@ def _series(tiff: tifffile.TiffFile, path: Path) -> list[Any]:
 def _check(part: Any, path: Path) -> None:
     """Refuse data that tifffile would fill with zeros: outside the file, or of missing pages."""
     page, size = part.keyframe, path.stat().st_size
-    if page.photometric == PALETTE_PHOTOMETRIC:
+    if page.photometric == tifffile.PHOTOMETRIC.PALETTE:
         raise DataError(f"{path}: a palette picture carries no radiometry. Export raw 16-bit data instead.")
     compressed = page.compression != tifffile.COMPRESSION.NONE
     check_size(path, part.nbytes, size, compressed=compressed, at_once=False)

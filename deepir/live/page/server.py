@@ -13,10 +13,7 @@ from deepir.errors import ConfigError
 from deepir.io.guards import import_optional
 from deepir.live.page.views import Session
 
-MAX_REQUEST_BYTES = 4096  # of one message of a viewer
-CLOSING_TIME = 1  # s that viewers get at the end
 LOOPBACK = "127.0.0.1"
-ELSEWHERE = ("192.0.2.1", 9)  # an address of the documentation (RFC 5737): no packet is sent to it
 
 
 @contextmanager
@@ -43,13 +40,13 @@ def serve(session: Session, host: str, port: int) -> Iterator[str]:
     config = uvicorn.Config(
         Guard(make_app(session), host, token),
         ws="websockets-sansio",
-        ws_max_size=MAX_REQUEST_BYTES,
+        ws_max_size=4096,  # bytes
         ws_per_message_deflate=False,
         lifespan="off",
         log_config=None,
         log_level="critical",
         server_header=False,
-        timeout_graceful_shutdown=CLOSING_TIME,
+        timeout_graceful_shutdown=1,  # s
     )
     server = uvicorn.Server(config)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
@@ -93,7 +90,7 @@ def _own_address() -> str:
     """Address of this machine in its network."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect(ELSEWHERE)
+            probe.connect(("192.0.2.1", 9))  # of the documentation (RFC 5737): no packet is sent to it
         except OSError:  # no network
             return LOOPBACK
         return str(probe.getsockname()[0])

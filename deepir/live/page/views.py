@@ -31,15 +31,13 @@ from deepir.live.sources import CorrectedFrame
 
 Limits = tuple[float, float]
 
-JPEG_QUALITY = 90  # of 100: 150 kB for 640 x 480 px in colour
-
 
 def jpeg(frame: Array, palette: str, tones: str) -> tuple[bytes, Limits | None]:
     """A frame (h, w) to look at, and the values that the palette begins and ends with, if all pixels share them."""
     values = as_float32(frame)
     limits = display_limits(values) if tones == PERCENTILE else None
     shades = stretch(values, *limits) if limits else TONE_MAPPINGS[tones](values)
-    return _encoded(apply_palette(shades, palette), "JPEG", quality=JPEG_QUALITY, subsampling=0), limits
+    return _encoded(apply_palette(shades, palette), "JPEG", quality=90, subsampling=0), limits
 
 
 def png(frame: Array, palette: str, tones: str) -> bytes:
