@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
@@ -221,7 +222,7 @@ def build(
             continue
         settings = complete(given, neutral, where)
         size = getattr(operator.stages[stage], "size", burst.size)
-        place = (settings, shape, neutral or 0.0, size, geometry.ratio, where, fits)
+        place = (settings, shape, neutral or 0.0, size, math.prod(geometry.ratio) ** 0.5, where, fits)
         fields[names[slot]] = make_field(*place, anchored=anchored)
         penalties[names[slot]] = make_penalties(settings, where, shape)
         start_field(fields[names[slot]], settings, motion, geometry, where)
@@ -321,7 +322,7 @@ def make_operator(
         known = options_schema(lookup("operator", kind, where)).model_fields
         options = {k: v for k, v in (settings or {}).items() if k in known}
         slots[name] = {k: v for k, v in (settings or {}).items() if k not in known and k != "type"}
-        ratio = (twice[0] - out[0]) / size[0]
+        ratio = [(far - near) / side for far, near, side in zip(twice, out, size, strict=True)]
         if shared is None:
             seen = known_motion(slots[name], where) if motion is None else instants.interpolate(motion)
             canvas, origin = footprint(seen, out, ratio)

@@ -55,8 +55,8 @@ def compare_to_truth(result: Result, burst: Burst) -> dict[str, float | None]:
             off = (array - truth[name])[~result.bad_pixels]
             found[f"{name}_rmse"] = float(np.sqrt(np.mean(off.astype(float) ** 2)))
     if "motion" in truth and truth["motion"].shape == result.motion.shape:
-        ratio = result.scene.shape[-1] / burst.size[1]
-        motion = rescale_motion(torch.from_numpy(result.motion), 1 / ratio).numpy()
+        coarser = np.divide(burst.size, result.scene.shape[-2:])
+        motion = rescale_motion(torch.from_numpy(result.motion), coarser).numpy()
         error = motion_error(motion, truth["motion"], burst.size)
         found["motion_rmse"] = None if math.isnan(error) else error
     return found

@@ -158,8 +158,9 @@ def execute(
         }
         return whole
     name, method = chosen(config)
-    finer = float((config.physics.get("downsample") or {}).get("factor", 1))  # px of the scene for each of the detector
-    with threads.for_samples(int(data.frames.size * finer**2), config.threads), memory.kept(), seeded(config.seed):
+    factor = (config.physics.get("downsample") or {}).get("factor", 1)  # px of the scene for each of the detector
+    finer = float(np.prod(np.broadcast_to(factor, 2)))
+    with threads.for_samples(int(data.frames.size * finer), config.threads), memory.kept(), seeded(config.seed):
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     result.messages = [*data.messages, *result.messages]
     result.example, result.config = np.where(data.valid[0], data.frames[0], np.nan), config

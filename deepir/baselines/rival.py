@@ -26,6 +26,7 @@ from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 
 #: Motion (N, 3, 3) or None, used frames (N,) bool, and messages.
+Ratio = float | Sequence[float]  # points per px, down and across if they differ
 Registration = tuple[torch.Tensor | None, Array, list[str]]
 State = TypeVar("State")
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -184,13 +185,13 @@ def correct_and_average(
     return result
 
 
-def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1.0) -> torch.Tensor:
+def registered_mean(frames: Array, valid: Array, motion: Array, ratio: Ratio = 1.0) -> torch.Tensor:
     """Mean of registered frames on frame 0's grid or one `ratio` times as fine, by cubic spline interpolation.
 
     Of frames (N, h, w), their valid samples and their motion (N, 3, 3), pull homographies in px about the centre; gives
     (ratio h, ratio w), float64. Points that no frame shows take the nearest value.
     """
-    height, width = (round(ratio * side) for side in frames.shape[1:])
+    height, width = np.rint(np.multiply(ratio, frames.shape[1:])).astype(int)
     total, count = np.zeros((2, height, width))
     for frame, good, back in zip(fill_invalid(frames, valid), valid, np.linalg.inv(motion), strict=True):
         at = to_indices(sampling_points(back, (height, width), ratio), frame.shape)
@@ -201,20 +202,21 @@ def registered_mean(frames: Array, valid: Array, motion: Array, ratio: float = 1
     return fill_nearest(mean, torch.from_numpy(count > 0)[None, None])[0, 0]
 
 
-def sampling_points(motion: Array, size: tuple[int, ...], ratio: float = 1.0) -> Array:
+def sampling_points(motion: Array, size: tuple[int, ...], ratio: Ratio = 1.0) -> Array:
     """Points (2, h, w) of frame 0, y and x in px from the centre, at which the pixels of a frame look.
 
     By a pull homography (3, 3) in px about the centre, on a grid of `size` (h, w) with `ratio` points per px.
     """
-    y, x = ((np.arange(side) - (side - 1) / 2) / ratio for side in size)
+    finer = np.broadcast_to(ratio, 2)
+    y, x = ((np.arange(side) - (side - 1) / 2) / each for side, each in zip(size, finer, strict=True))
     at = motion @ np.stack([each.ravel() for each in np.broadcast_arrays(x, y[:, None], 1.0)])
     return np.asarray((at[1::-1] / at[2]).reshape(2, *size))
 
 
-def to_indices(places: Array, shape: tuple[int, ...], ratio: float = 1.0) -> Array:
+def to_indices(places: Array, shape: tuple[int, ...], ratio: Ratio = 1.0) -> Array:
     """Row and column (2, ...), in an array with `ratio` points per px, of y and x (2, ...) in px from the centre."""
-    middle = (np.array(shape) - 1) / 2
-    return np.asarray(ratio * places + middle.reshape(2, *(1,) * (places.ndim - 1)))
+    finer = np.broadcast_to(ratio, 2)
+    return np.stack([each * place + (side - 1) / 2 for each, place, side in zip(finer, places, shape, strict=True)])
 
 
 def fill_invalid(frames: Array, valid: Array) -> Array:

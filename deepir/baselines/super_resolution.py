@@ -16,6 +16,7 @@ from deepir.arrays.windows import fill_nearest
 from deepir.assembly import build
 from deepir.baselines.rival import (
     Array,
+    Ratio,
     estimate_scene,
     fill_invalid,
     registered_mean,
@@ -42,7 +43,7 @@ def bicubic(burst: Burst, config: Config) -> Result:
     return result_of(burst, scene, used, np.eye(3)[None])
 
 
-def enlarge(frame: Array, ratio: float) -> Array:
+def enlarge(frame: Array, ratio: Ratio) -> Array:
     """A frame (h, w) on a grid `ratio` times as fine; pixels are areas, so that the frame's corners stay in place."""
     return np.asarray(ndimage.zoom(frame, ratio, order=3, mode="mirror", grid_mode=True))
 
@@ -57,7 +58,7 @@ def shift_and_add(frames: Array, valid: Array, motion: Array, shape: tuple[int, 
     Source: M. Elad, Y. Hel-Or: A fast super-resolution reconstruction algorithm for pure translational motion and
     common space-invariant blur, IEEE Trans. Image Processing 10 (2001).
     """
-    ratio = shape[0] / frames.shape[1]
+    ratio = np.divide(shape, frames.shape[1:])
     total, count = np.zeros((2, *shape))
     for frame, good, forth in zip(frames, valid, motion, strict=True):
         row, column = np.rint(to_indices(sampling_points(forth, frame.shape), shape, ratio)).astype(int).reshape(2, -1)
@@ -83,7 +84,7 @@ def vdsr(frames: Array, valid: Array, motion: Array, shape: tuple[int, ...]) -> 
     Source: J. Kim, J. K. Lee, K. M. Lee: Accurate image super-resolution using very deep convolutional networks, CVPR
     (2016).
     """
-    ratio = shape[0] / frames.shape[1]
+    ratio = np.divide(shape, frames.shape[1:])
     fine = np.stack([sharpen(enlarge(frame, ratio)) for frame in fill_invalid(frames, valid)])
     seen = np.stack([enlarge(each.astype(float), ratio) > 0.5 for each in valid])
     return (

@@ -202,10 +202,11 @@ class Corrector:
         self._estimates += 1
 
     def _serves(self, found: Segment, frame: Array) -> bool:
-        """Whether an estimate leaves less pattern in a frame than there is now."""
+        """Whether an estimate leaves less pattern in a frame than there is now, or is the first one of all of it."""
         corrected = found.correct(frame)
         now = self._correct(frame) if self._fits else None
-        if now is None:
+        # Gradients tell the fine parts alone apart.
+        if now is None or (_is_fine(self._segment) and not _is_fine(found)):
             return contains_pattern(frame, corrected, found.maps.bad_pixels)
         return removes_more(now, corrected, found.maps.bad_pixels | self._bad_pixels)
 
@@ -218,3 +219,7 @@ class Corrector:
             former = self._former.correct(frame)
             corrected = former + np.float32(self._faded / FADE_LENGTH) * (corrected - former)
         return corrected
+
+
+def _is_fine(segment: Segment | None) -> bool:
+    return segment is not None and segment.estimate is not None and segment.estimate.is_fine

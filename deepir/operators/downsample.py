@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import ClassVar
 
@@ -18,9 +20,10 @@ MAX_DENOMINATOR = 16  # largest denominator of a factor that is not whole
 
 @register("operator", "downsample")
 class Downsample(Operator):
-    """Mean over squares of `factor` x `factor` px aligned on pixel edges; (N, C, Q h, Q w) -> (N, C, h, w).
+    """Mean over rectangles of `factor` px down and across, from the edge of a pixel; (N, C, P h, Q w) -> (N, C, h, w).
 
-    A factor that is not whole, such as 1.5, weighs each pixel by the part of its area within a square.
+    One number stands for squares. A factor that is not whole, such as 1.5, weighs each pixel by the part of its area
+    within a rectangle.
 
     Saragadam et al. 2021, supplement, "Details about super resolution".
     """
@@ -28,54 +31,71 @@ class Downsample(Operator):
     example_shape = (2, 1, 6, 9)
     example_options: ClassVar = {"factor": 3}
 
-    def __init__(self, *, factor: float = 2) -> None:
+    def __init__(self, *, factor: float | tuple[float, ...] = 2) -> None:
         super().__init__()
-        if not 1 <= factor <= MAX_FACTOR:
-            raise ValueError(f"factor must be 1 to {MAX_FACTOR}, not {factor:g}")
-        self.exact = Fraction(factor).limit_denominator(MAX_DENOMINATOR)
-        self.factor = int(self.exact) if self.exact.denominator == 1 else float(self.exact)
-        self.noise_gain = float(factor)  # the information of a sample is shared by factor² unknowns
+        given = factor if isinstance(factor, tuple | list) else (factor, factor)
+        if len(given) != 2:
+            raise ValueError(f"factor = {list(given)}: one number, or two (down and across), is needed")
+        for each in given:
+            if not 1 <= each <= MAX_FACTOR:
+                raise ValueError(f"factor must be 1 to {MAX_FACTOR}, not {each:g}")
+        self.exact = tuple(Fraction(each).limit_denominator(MAX_DENOMINATOR) for each in given)
+        self.factor = tuple(int(each) if each.denominator == 1 else float(each) for each in self.exact)
+        self.noise_gain = math.prod(self.factor) ** 0.5  # so many unknowns share the information of a sample
 
     def out_shape(self, x_shape: Shape, n_frames: int) -> Shape:
-        """Both sides divided by `factor`; they must be multiples of it."""
+        """Both sides divided by their factor; they must be multiples of it."""
         *head, height, width = x_shape
-        if (height / self.exact).denominator > 1 or (width / self.exact).denominator > 1:
-            raise ValueError(f"downsample: {height} x {width} is no multiple of the factor {self.factor}")
-        return (*head, int(height / self.exact), int(width / self.exact))
+        sides = [side / factor for side, factor in zip((height, width), self.exact, strict=True)]
+        if any(side.denominator > 1 for side in sides):
+            raise ValueError(f"downsample: {height} x {width} is no multiple of the factor {_words(self.factor)}")
+        return (*head, *map(int, sides))
 
     def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
-        """Both sides times `factor`.
+        """Both sides times their factor.
 
         Raises:
             ValueError: A side is not whole.
         """
-        height, width = (side * self.exact for side in out_size)
+        height, width = (side * factor for side, factor in zip(out_size, self.exact, strict=True))
         if height.denominator > 1 or width.denominator > 1:
             raise ValueError(
-                f"downsample: {out_size[0]} x {out_size[1]} px times {self.factor} are no whole pixels; "
-                f"crop the frames to sides that are multiples of {self.exact.denominator}"
+                f"downsample: {out_size[0]} x {out_size[1]} px times {_words(self.factor)} are no whole pixels; "
+                f"crop the frames to sides that are multiples of {_words([each.denominator for each in self.exact])}"
             )
         return int(height), int(width)
 
     def forward(self, x: Tensor, **slots: Tensor) -> Tensor:
-        """Average over the squares."""
-        height, width = self.out_shape(x.shape, x.shape[0])[-2:]
-        if isinstance(self.factor, int):
-            sums = x.unflatten(-2, (-1, self.factor)).sum(-2).unflatten(-1, (-1, self.factor)).sum(-1)
-            return sums / self.factor**2  # an axis at a time: both at once take twice as long
-        down, across = (self._parts(side).to(x) for side in (height, width))
-        return down @ x @ across.mT / self.factor**2
+        """Average over the rectangles."""
+        size, area = self.out_shape(x.shape, x.shape[0])[-2:], math.prod(self.factor)
+        if self._whole:
+            down, across = self.factor
+            sums = x.unflatten(-2, (-1, down)).sum(-2).unflatten(-1, (-1, across)).sum(-1)
+            return sums / area  # an axis at a time: both at once take twice as long
+        rows, columns = (_parts(*each).to(x) for each in zip(size, self.factor, strict=True))
+        return rows @ x @ columns.mT / area
 
     def valid(self, mask: Tensor, **slots: Tensor) -> Tensor:
-        """Squares all of whose pixels are valid."""
-        if isinstance(self.factor, int):
-            return -F.max_pool2d(-mask, self.factor)
-        down, across = (self._parts(side).sign().to(mask) for side in self.out_shape(mask.shape, 1)[-2:])
-        return (down @ (1 - mask) @ across.mT == 0).to(mask)
+        """Rectangles all of whose pixels are valid."""
+        if self._whole:
+            return -F.max_pool2d(-mask, tuple(map(int, self.factor)))
+        size = self.out_shape(mask.shape, 1)[-2:]
+        rows, columns = (_parts(*each).sign().to(mask) for each in zip(size, self.factor, strict=True))
+        return (rows @ (1 - mask) @ columns.mT == 0).to(mask)
 
-    def _parts(self, side: int) -> Tensor:
-        """The part of each pixel within each square along an axis, (side, side times the factor)."""
-        edges = torch.arange(side + 1, dtype=torch.float64) * self.factor
-        pixels = torch.arange(round(side * self.factor), dtype=torch.float64)
-        first, last = edges[:-1, None], edges[1:, None]
-        return (torch.minimum(last, pixels + 1) - torch.maximum(first, pixels)).clamp(0, 1)
+    @property
+    def _whole(self) -> bool:
+        return all(isinstance(each, int) for each in self.factor)
+
+
+def _parts(side: int, factor: float) -> Tensor:
+    """The part of each pixel within each rectangle along an axis, (side, side times the factor)."""
+    edges = torch.arange(side + 1, dtype=torch.float64) * factor
+    pixels = torch.arange(round(side * factor), dtype=torch.float64)
+    first, last = edges[:-1, None], edges[1:, None]
+    return (torch.minimum(last, pixels + 1) - torch.maximum(first, pixels)).clamp(0, 1)
+
+
+def _words(values: Sequence[float]) -> str:
+    """Values down and across in words, once if they are equal."""
+    return " x ".join(f"{each:g}" for each in dict.fromkeys(values))

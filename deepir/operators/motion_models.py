@@ -21,7 +21,7 @@ AUTO = "auto"  # model name: rigid, or homographies if the frames are distorted
 class Geometry:
     """Sizes along the operator, and where frame 0 lies in the scene."""
 
-    ratio: float  # scene px per detector px
+    ratio: tuple[float, float]  # scene px per detector px, down and across
     window: tuple[int, int, int, int]  # (y0, y1, x0, x1) of frame 0 in the scene's array
 
     def crop(self, scene: Any) -> Any:
@@ -37,12 +37,11 @@ def locate_first_frame(chain: Chain, size: tuple[int, int], scene: tuple[int, in
     rest = Chain(dict(later)) if isinstance(first, Warp) else chain
     near, far = rest.in_size(size), rest.in_size((2 * size[0], 2 * size[1]))
     if near == far:  # the data are no pictures of the scene, but measurements of it, such as those of a single pixel
-        return Geometry(1.0, (0, scene[0], 0, scene[1]))
-    ratio = (far[0] - near[0]) / size[0]
-    height, width = round(ratio * size[0]), round(ratio * size[1])
+        return Geometry((1.0, 1.0), (0, scene[0], 0, scene[1]))
+    height, width = (twice - once for twice, once in zip(far, near, strict=True))
     (y0, x0), inner = (first.origin, near) if isinstance(first, Warp) else ((0, 0), scene)
     y0, x0 = y0 + (inner[0] - height) // 2, x0 + (inner[1] - width) // 2
-    return Geometry(ratio, (int(y0), int(y0) + height, int(x0), int(x0) + width))
+    return Geometry((height / size[0], width / size[1]), (int(y0), int(y0) + height, int(x0), int(x0) + width))
 
 
 @dataclass(frozen=True)

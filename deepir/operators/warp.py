@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from scipy.fft import next_fast_len
@@ -283,13 +284,15 @@ def project_pixels(
     return torch.stack((px * nearness, py * nearness), 1).permute(0, 2, 3, 1)
 
 
-def footprint(motion: Tensor | None, size: tuple[int, int], ratio: float) -> tuple[tuple[int, int], tuple[int, int]]:
+def footprint(
+    motion: Tensor | None, size: tuple[int, int], ratio: float | Sequence[float]
+) -> tuple[tuple[int, int], tuple[int, int]]:
     """Canvas that contains the footprints of all frames, with a margin.
 
     Args:
         motion: (N, 3, 3) homographies, detector px, or (N, h, w, 2) points; None for one frame at rest.
         size: (h, w) of a frame, scene px.
-        ratio: Scene px per detector px.
+        ratio: Scene px per detector px, down and across if they differ.
 
     Returns:
         Size (H, W) and origin (y, x) of frame 0, scene px.
@@ -315,7 +318,8 @@ def fast_fft_length(side: int) -> int:
     return 2 * int(next_fast_len(-(-side // 2)))
 
 
-def rescale_motion(motion: Tensor, ratio: float) -> Tensor:
-    """Homographies in px of a grid that is `ratio` times finer, with the same centre."""
-    s = torch.tensor([ratio, ratio, 1.0], dtype=motion.dtype)
+def rescale_motion(motion: Tensor, ratio: float | Sequence[float]) -> Tensor:
+    """Homographies in px of a grid that is `ratio` times finer, down and across if they differ; of the same centre."""
+    down, across = np.broadcast_to(ratio, 2)
+    s = torch.tensor([across, down, 1.0], dtype=motion.dtype)
     return motion * (s[:, None] / s)

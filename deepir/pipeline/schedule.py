@@ -172,8 +172,8 @@ def solve_bands(burst: Burst, solve: Callable[[Burst], Result]) -> Result:
     first = solve(bands[lead])
     motion = None
     if first.frames_used.sum() > 1:  # else its motion is not trusted, and each band finds its own
-        ratio = first.scene.shape[-1] / burst.size[1]
-        motion = rescale_motion(torch.from_numpy(first.motion), 1 / ratio).numpy()
+        coarser = np.divide(burst.size, first.scene.shape[-2:])
+        motion = rescale_motion(torch.from_numpy(first.motion), coarser).numpy()
     results = [first if c == lead else solve(dataclasses.replace(band, motion=motion)) for c, band in enumerate(bands)]
     return _stacked(results, lead)
 

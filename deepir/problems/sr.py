@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
 
 from deepir.estimation.cross_validation import WeightSearch
 from deepir.estimation.prior_weight import weigh_scene
@@ -46,8 +49,7 @@ class SR(Recipe):
         weigh_scene(problem, self.sensor_weight)
         self.search.start(problem)
         stages = [stage for _, stage in problem.operator.named() if isinstance(stage, Downsample)]
-        factor = math.prod(float(stage.factor) for stage in stages)  # px of the scene for each of the detector's
-        self.messages = few_frames(len(problem.data), factor)
+        self.messages = few_frames(len(problem.data), np.prod([(1, 1), *(stage.factor for stage in stages)], axis=0))
 
     def plan(self, problem: Problem) -> Schedule:
         """Sensor and motion by turns, with the search for the scene's weights between; the scene on all samples."""
@@ -67,15 +69,17 @@ class SR(Recipe):
         return Schedule(stages)
 
 
-def few_frames(count: int, factor: float) -> list[str]:
-    """A line if the frames have fewer samples than the scene has pixels."""
-    if count >= factor**2:
+def few_frames(count: int, factor: Sequence[float]) -> list[str]:
+    """A line if the frames have fewer samples than the scene, finer by a factor down and across, has pixels."""
+    finer = math.prod(factor)
+    if count >= finer:
         return []
-    needed, less = math.ceil(factor**2), math.isqrt(count)
+    needed, less = math.ceil(finer), math.isqrt(count)
+    words = " x ".join(f"{each:g}" for each in dict.fromkeys(factor))
     return [
         Message(
             "few-frames-for-factor",
-            f"{count} frames for factor {factor:g}: the scene has {factor**2:g} px for each of the detector's, and "
+            f"{count} frames for factor {words}: the scene has {finer:g} px for each of the detector's, and "
             "each frame shows one sample of them; fine detail is in part the prior's. "
             f"Take {needed} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}",
         )

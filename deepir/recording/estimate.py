@@ -35,6 +35,7 @@ from deepir.recording.displaced import fine_part, low_order_part, solve_low_orde
 from deepir.recording.joint_solve import SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes, spread
 
+FINE_OFFSET = "fine offset"  # what is corrected where the shading stays
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 #: px, error of the motion from which frames do not register as a whole, if their residuals have a cause too: 0.05 to
 #: 0.25 hand-held, 0.3 to 2.5 where the camera moves among near things; sharp edges alone make up to 0.45.
@@ -82,6 +83,11 @@ class SensorEstimate:
     contrasts: tuple[Array, Array] | None = None
     jumps: tuple[int, ...] = ()
     noise: float = np.nan
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether the fine part of the offset alone is corrected."""
+        return self.kept == FINE_OFFSET
 
     @property
     def pattern_deviations(self) -> tuple[float, float]:
@@ -178,7 +184,7 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
     """
     samples = _Samples.of(keyframes)
     _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
-    return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), "fine offset")
+    return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), FINE_OFFSET)
 
 
 def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]) -> SensorEstimate | None:
@@ -253,7 +259,7 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
             "the shading of the fixed pattern could not be separated from the scenes and was not corrected: it is "
             "weak, or the camera moves too little",
         )
-        return _estimate(samples, SensorSolution.of_offset(offset), "fine offset", messages=(message,))
+        return _estimate(samples, SensorSolution.of_offset(offset), FINE_OFFSET, messages=(message,))
     return _estimate(samples, SensorSolution.of_offset(offset), "offset")
 
 

@@ -24,11 +24,11 @@ Grid = tuple[tuple[int, int], ...]
 GRID_2X2: Grid = ((0, 2), (1, 3))  # overlapping blocks along an axis: first and last third of each
 GRID_3X3: Grid = ((0, 4), (3, 7), (6, 10))  # overlapping blocks along an axis: first and last tenth of each
 LIKELIHOOD_SIDE = 320  # px; larger frames are reduced to block means of this longer side
+MIN_BLOCK_SIDE = 8  # px; smaller blocks hold no waves
 MIN_REDUCED_SIDE = 20  # px; shorter side below which frames are not reduced: a ninth of less holds no waves
 MAX_LINEAR_DISPLACEMENT = 6.0  # px at the frame's edge; motions whose linear part moves it less may be shifts
 DISTINCT_DISTANCE = 2.0  # px; from closer starts the likelihood climbs to the same maximum
 MODELS_WITH_STRETCH = ("affine", "homography")  # models whose linear part is kept while shifts are replaced
-
 
 MAX_INTEGER_FRAMES = 20  # the time of the integer search grows with the square of their number
 
@@ -62,10 +62,12 @@ def block_log_ratios(frames: Tensor, before: Tensor, after: Tensor, grid: Grid) 
 
 
 def blocks(frames: Tensor, grid: Grid) -> Iterator[tuple[ShiftLikelihood, np.ndarray]]:
-    """Likelihood of each block of frames `(N, h, w)`, and its centre (x, y) in px from the frame's."""
+    """Likelihood of each block of frames `(N, h, w)` that holds waves, and its centre (x, y) in px from the frame's."""
     h, w = frames.shape[1:]
     rows, columns = ([slice(a * side // grid[-1][1], b * side // grid[-1][1]) for a, b in grid] for side in (h, w))
     for y, x in itertools.product(rows, columns):
+        if min(y.stop - y.start, x.stop - x.start) < MIN_BLOCK_SIDE:
+            continue
         yield ShiftLikelihood(frames[:, y, x]), np.array([x.start + x.stop - w, y.start + y.stop - h]) / 2
 
 

@@ -176,10 +176,10 @@ def test_a_nonlinear_operator_may_say_so():
     check_operator(honest, torch.rand(2, 1, 5, 6, dtype=torch.float64), {}, reference=lambda x, slots: x**2)
 
 
-@pytest.mark.parametrize("factor", [1, 2, 5])
-def test_downsample_takes_any_integer_factor(factor):
+@pytest.mark.parametrize("factor", [1, 2, 5, (2, 1), (4, 5)])
+def test_downsample_takes_any_integer_factor_of_either_axis(factor):
     x = torch.rand(1, 1, 20, 30, dtype=torch.float64)
-    wanted = block_reduce(x.numpy(), (1, 1, factor, factor), np.mean)
+    wanted = block_reduce(x.numpy(), (1, 1, *np.broadcast_to(factor, 2)), np.mean)
     assert np.allclose(Downsample(factor=factor)(x), wanted)
 
 
@@ -199,6 +199,8 @@ def test_a_large_kernel_still_sees_one_invalid_pixel():
     [
         (lambda: Downsample(factor=2)(torch.rand(1, 1, 21, 30)), "21 x 30 is no multiple"),
         (lambda: Downsample(factor=0), "1 to 8, not 0"),
+        (lambda: Downsample(factor=(2, 1, 1)), "one number, or two"),
+        (lambda: Downsample(factor=(1.5, 2)).in_size((7, 8)), "7 x 8 px times 1.5 x 2 are no whole pixels"),
         (lambda: Downsample(factor=1.5).in_size((7, 8)), "crop the frames to sides that are multiples of 2"),
         (lambda: Blur(radius=-1), "radius must be 0 to 100 px"),
         (lambda: Lag(None), "the rate of the frames is needed, for example data.fps=60"),

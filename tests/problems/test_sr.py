@@ -35,7 +35,7 @@ def sim():
 
 def at_motion(motion, size, factor):
     """Integration behind a warp, for frames of `size` that see the middle of their canvas."""
-    fine = (factor * size[0], factor * size[1])
+    fine = tuple(int(each) for each in np.multiply(factor, size))
     canvas, origin = (fine[0] + 40, fine[1] + 40), (20, 20)
     return (
         Downsample(factor=factor) @ Warp(fine, canvas, origin),
@@ -47,7 +47,7 @@ def at_motion(motion, size, factor):
 # ---- physics ----
 
 
-@pytest.mark.parametrize("factor", [1, 2, 3, 4, 8])
+@pytest.mark.parametrize("factor", [1, 2, 3, 4, 8, (3, 2)])
 def test_a_shifted_pixel_is_the_exact_integral_of_the_scene_over_its_area(factor):
     """The scene is the quadratic spline; a detector's pixel is `factor` of its px wide, wherever it falls."""
     motion = torch.eye(3, dtype=torch.float64)[None].clone()
@@ -59,7 +59,7 @@ def test_a_shifted_pixel_is_the_exact_integral_of_the_scene_over_its_area(factor
 
     spline = BSpline.basis_element([-1.5, -0.5, 0.5, 1.5], extrapolate=False)
 
-    def integrals(count, side, shift):
+    def integrals(count, side, shift, factor):
         rows = np.zeros((count, side))
         for i in range(count):
             centre = factor * (i - (count - 1) / 2 + shift) + (side - 1) / 2
@@ -68,7 +68,7 @@ def test_a_shifted_pixel_is_the_exact_integral_of_the_scene_over_its_area(factor
                 rows[i, j] = spline.integrate(low, high) / factor
         return rows
 
-    down, across = integrals(size[0], canvas[0], -1.21), integrals(size[1], canvas[1], 0.37)
+    down, across = map(integrals, size, canvas, (-1.21, 0.37), np.broadcast_to(factor, 2))
     np.testing.assert_allclose(found, down @ coefficients[0, 0].numpy() @ across.T, atol=1e-12)
 
 
@@ -95,7 +95,7 @@ def test_with_factor_one_the_model_is_that_of_nuc():
         build(load(name, changes), burst, motion)
         for name, changes in (("sr", ["physics.downsample.factor=1"]), ("nuc", []))
     )
-    assert (at.ratio, at.window) == (1, window.window)
+    assert (at.ratio, at.window) == ((1, 1), window.window)
     values = nuc.values()
     values["scene"] = torch.rand_like(values["scene"])
     assert torch.equal(sr.predict(values), nuc.predict(values))
@@ -130,6 +130,20 @@ def test_the_scene_is_finer_and_better_than_what_interpolation_gives(sim):
     motion = np.linalg.inv(fine) @ result.motion @ fine  # detector px
     assert np.abs(motion - sim.truth.motion)[:, :2, 2].max() < 0.15
     assert result.messages == []
+
+
+def test_pixels_twice_as_high_as_wide_show_a_scene_of_square_ones():
+    """Each row of the detector's is two of another camera's."""
+    sim = camera(factor=1, gain_column=0.0)
+    frames = Downsample(factor=(2, 1))(torch.from_numpy(sim.frames)[:, None])[:, 0].numpy()
+    factor = "physics.downsample.factor=[2,1]"
+    found = {
+        method: deepir.run("sr", factor, frames=frames, method=method) for method in ("bicubic", "average", "joint")
+    }
+    assert {each.scene.shape for each in found.values()} == {(32, 40)}
+    psnr = {method: scores(result.scene, sim.truth.scene)["psnr_aligned"] for method, result in found.items()}
+    assert psnr["joint"] > psnr["average"] + 3 > psnr["bicubic"] + 3
+    assert np.abs(found["joint"].motion - sim.truth.motion)[:, :2, 2].max() < 0.15
 
 
 def test_the_truth_is_compared_on_the_fine_grid(sim, tmp_path):
@@ -168,8 +182,8 @@ def test_fewer_frames_than_the_factor_can_use_are_warned_of(sim):
     message = next(each for each in result.messages if "for factor 4" in each)
     assert message.startswith("6 frames for factor 4: the scene has 16 px for each of the detector's")
     assert message.endswith("Take 16 frames, or physics.downsample.factor=2")
-    assert few_frames(16, 4) == []
-    assert few_frames(3, 2)[0].endswith("Take 4 frames")  # no factor below 2 is one
+    assert few_frames(16, (4, 4)) == []
+    assert few_frames(3, (2, 2))[0].endswith("Take 4 frames")  # no factor below 2 is one
 
 
 @pytest.mark.parametrize("factor", [0, 9])

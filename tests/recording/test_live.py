@@ -14,7 +14,8 @@ from deepir.config.schema import Raw
 from deepir.live.corrector import CHECK_INTERVAL, FADE_LENGTH, MIN_QUICK_KEYFRAMES, Corrector
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.sources import stream_raw
-from deepir.recording.estimate import SensorEstimate
+from deepir.multiview.pattern_gradients import removes_more
+from deepir.recording.estimate import FINE_OFFSET, SensorEstimate
 from deepir.recording.keyframes import WINDOW, Keyframes
 from deepir.recording.segments import Segment
 
@@ -100,6 +101,26 @@ def test_new_maps_fade_in(walk):
     steps = [np.abs(later - earlier).max() for earlier, later in itertools.pairwise(shown[FADE_LENGTH:])]
     assert np.array_equal(after, Segment(0, 10, good).correct(frame))
     assert max(steps) < 1.1 * np.abs(after - before).max() / FADE_LENGTH
+
+
+def test_the_first_estimate_with_shading_is_taken_though_its_fine_part_is_no_better(walk):
+    """Gradients, by which estimates are compared, hardly show shading."""
+    error = 0.5 * walk.fine.std() * np.random.default_rng(0).standard_normal(walk.fine.shape)
+    quick, whole = (
+        SensorEstimate(np.ones_like(walk.gain), offset, walk.bad, 8000.0, None, kept, 0.0)
+        for offset, kept in ((walk.fine, FINE_OFFSET), (walk.fine + walk.slow + error, "offset"))
+    )
+    estimator, frame = SynchronousEstimator(), walk.frames[0]
+    with Corrector(estimator=estimator) as corrector:
+        for estimate in (quick, whole):
+            estimator._found = Segment(0, 10, estimate)
+            corrector(frame)
+            assert corrector.status.estimates == 1 + (estimate is whole)
+            shown = [Segment(0, 10, each).correct(frame) for each in (quick, whole)]
+            assert not removes_more(*shown, walk.bad)
+        estimator._found = Segment(0, 10, SensorEstimate(walk.gain, -walk.slow, walk.bad, 8000.0, None, "offset", 0.0))
+        corrector(frame)
+        assert corrector.status.rejected == 1
 
 
 def test_reset_forgets_what_was_learned(walk, quick_corrector):
