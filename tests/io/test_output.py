@@ -70,27 +70,19 @@ def test_npz_takes_no_objects(tmp_path):
 
 
 def test_json_takes_what_results_are_made_of(tmp_path):
-    content = {
-        "psnr": np.float32(31.5),
-        "frames": np.int64(3),
-        "gain": np.ones(2),
-        "crop": (0, 20),
-        "source": Path("a.npz"),
-        "worst": float("nan"),
-        "best": np.array([np.inf]),
-        "unit": "°C",
+    given_and_stored = {
+        "psnr": (np.float32(31.5), 31.5),
+        "frames": (np.int64(3), 3),
+        "gain": (np.ones(2), [1.0, 1.0]),
+        "crop": ((0, 20), [0, 20]),
+        "source": (Path("a.npz"), "a.npz"),
+        "worst": (float("nan"), None),
+        "best": (np.array([np.inf]), [None]),
+        "unit": ("°C", "°C"),
     }
-    write_json(tmp_path / "a.json", content)
-    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {
-        "psnr": 31.5,
-        "frames": 3,
-        "gain": [1.0, 1.0],
-        "crop": [0, 20],
-        "source": "a.npz",
-        "worst": None,
-        "best": [None],
-        "unit": "°C",
-    }
+    write_json(tmp_path / "a.json", {name: given for name, (given, _) in given_and_stored.items()})
+    found = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert found == {name: stored for name, (_, stored) in given_and_stored.items()}
 
 
 @pytest.mark.parametrize("count", [None, 1, 3, 4])

@@ -106,21 +106,16 @@ def test_new_maps_fade_in(walk):
 def test_the_first_estimate_with_shading_is_taken_though_its_fine_part_is_no_better(walk):
     """Gradients, by which estimates are compared, hardly show shading."""
     error = 0.5 * walk.fine.std() * np.random.default_rng(0).standard_normal(walk.fine.shape)
-    quick, whole = (
-        SensorEstimate(np.ones_like(walk.gain), offset, walk.bad, 8000.0, None, kept, 0.0)
-        for offset, kept in ((walk.fine, FINE_OFFSET), (walk.fine + walk.slow + error, "offset"))
+    quick, whole, wrong = (
+        Segment(0, 10, SensorEstimate(np.ones_like(walk.gain), offset, walk.bad, 8000.0, None, kept, 0.0))
+        for offset, kept in ((walk.fine, FINE_OFFSET), (walk.fine + walk.slow + error, "offset"), (error, "offset"))
     )
     estimator, frame = SynchronousEstimator(), walk.frames[0]
+    assert not removes_more(quick.correct(frame), whole.correct(frame), walk.bad)
     with Corrector(estimator=estimator) as corrector:
-        for estimate in (quick, whole):
-            estimator._found = Segment(0, 10, estimate)
+        for estimator._found in (quick, wrong, whole, wrong):
             corrector(frame)
-            assert corrector.status.estimates == 1 + (estimate is whole)
-            shown = [Segment(0, 10, each).correct(frame) for each in (quick, whole)]
-            assert not removes_more(*shown, walk.bad)
-        estimator._found = Segment(0, 10, SensorEstimate(walk.gain, -walk.slow, walk.bad, 8000.0, None, "offset", 0.0))
-        corrector(frame)
-        assert corrector.status.rejected == 1
+    assert (corrector.status.estimates, corrector.status.rejected) == (2, 2)
 
 
 def test_reset_forgets_what_was_learned(walk, quick_corrector):
