@@ -202,10 +202,10 @@ class Corrector:
         self._estimates += 1
 
     def _serves(self, found: Segment, frame: Array) -> bool:
-        """Whether an estimate leaves less pattern in a frame than there is now, or is the first one of all of it."""
+        """Whether an estimate leaves less pattern in a frame than there is now, or is the first with shading."""
         corrected = found.correct(frame)
         now = self._correct(frame) if self._fits else None
-        # Gradients tell the fine parts alone apart.
+        # Two estimates are compared by gradients, which hardly show shading.
         if now is None or (_is_fine(self._segment) and not _is_fine(found)):
             return contains_pattern(frame, corrected, found.maps.bad_pixels)
         return removes_more(now, corrected, found.maps.bad_pixels | self._bad_pixels)
