@@ -20,14 +20,7 @@ ROUNDING_SIGMA = 12**-0.5  # standard deviation of a rounding error, in quantisa
 
 
 def median(values: Tensor) -> float:
-    """Median; the lower of the two middle values, as in torch.
-
-    Args:
-        values: Of any shape, without NaN.
-
-    Returns:
-        The median; NaN for no values.
-    """
+    """Median; the lower of the two middle values, as in torch; NaN for no values."""
     if not is_compiled(values) or not values.numel():
         return float(values.median())
     middle = (values.numel() - 1) // 2
@@ -40,14 +33,9 @@ def robust_std(values: Tensor) -> float:
 
 
 def subsample(*frames: Tensor, max_samples: int = MAX_SAMPLES_PER_FRAME) -> list[Tensor]:
-    """The same regularly spaced samples of several stacks of frames.
+    """The same regularly spaced samples (N, m) of several stacks of frames (N, C, h, w), from all columns of the image.
 
-    Args:
-        frames: Stacks, (N, C, h, w) each.
-        max_samples: About how many samples of a frame are kept.
-
-    Returns:
-        For each stack its samples, (N, m), from all columns of the image.
+    About `max_samples` of a frame are kept.
     """
     *_, height, width = frames[0].shape
     stride = max(1, height * width // max_samples)
@@ -64,17 +52,11 @@ def masked_values(values: Tensor, mask: Tensor) -> Tensor:
 
 
 def sample_noise(frames: Tensor, usable: Tensor) -> float:
-    """Standard deviation of the noise of a sample, from mixed second differences.
+    """Standard deviation of the noise of a sample of frames (N, h, w), from mixed second differences.
 
     Consecutive frames are subtracted first, which removes a fixed pattern; a single frame is used as it is. The median
-    leaves out smooth regions and edges of the scene, but not fine texture: the result is an upper bound.
-
-    Args:
-        frames: (N, h, w).
-        usable: Samples that count, (N, h, w), bool.
-
-    Returns:
-        The standard deviation, in the units of the frames; zero without usable samples.
+    leaves out smooth regions and edges of the scene, but not fine texture: the result is an upper bound. Samples that
+    are `usable`, (N, h, w) bool, count; zero without any.
     """
     if len(frames) > 1:
         frames, usable = (frames[1:] - frames[:-1]) / 2**0.5, usable[1:] & usable[:-1]
@@ -86,12 +68,7 @@ def sample_noise(frames: Tensor, usable: Tensor) -> float:
 def noise_in_flat_windows(frames: Tensor, usable: Tensor) -> float:
     """Standard deviation of the noise of a sample, from the flattest windows; for frames of different scenes.
 
-    Args:
-        frames: (N, h, w), without a fixed pattern.
-        usable: Samples that count, (N, h, w), bool.
-
-    Returns:
-        The standard deviation, in the units of the frames; zero without usable windows.
+    Of frames (N, h, w) without a fixed pattern, and samples that are `usable`, same shape, bool; zero without a window.
     """
     found = []
     for k in range(len(frames)):
@@ -105,14 +82,9 @@ def noise_in_flat_windows(frames: Tensor, usable: Tensor) -> float:
 
 
 def mixed_difference(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
-    """Mixed second differences along both axes, scaled to the variance of the noise.
+    """Mixed second differences (N, h - 1, w - 1) of frames along both axes, scaled to the variance of the noise.
 
-    Args:
-        frames: (N, h, w).
-        usable: Samples that count, (N, h, w), bool.
-
-    Returns:
-        The differences, and where all four samples of one are usable, (N, h - 1, w - 1) each.
+    And where all four samples of one are usable, bool, same shape.
     """
     fine = (frames[:, 1:, 1:] - frames[:, 1:, :-1] - frames[:, :-1, 1:] + frames[:, :-1, :-1]) / 2
     whole = usable[:, 1:, 1:] & usable[:, 1:, :-1] & usable[:, :-1, 1:] & usable[:, :-1, :-1]
@@ -120,14 +92,9 @@ def mixed_difference(frames: Tensor, usable: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def quantisation_step(frames: Tensor, usable: Tensor) -> float:
-    """Quantisation step of the samples: the lower quartile of the differences of consecutive distinct values.
+    """Quantisation step of usable samples: the lower quartile of the differences of consecutive distinct values.
 
-    Args:
-        frames: (N, 1, h, w).
-        usable: Samples that count, same shape, bool.
-
-    Returns:
-        The step, in the units of the frames; zero for constant frames.
+    Of frames (N, 1, h, w), in their units; zero for constant frames.
     """
     some, counts = subsample(frames, usable, max_samples=MAX_SAMPLES_FOR_QUANTISATION)
     apart = some[counts].unique().diff()

@@ -10,29 +10,14 @@ DEFAULT_WINDOW = 5  # side of a neighbourhood, px
 
 
 def squared_gradient(value: Tensor) -> Tensor:
-    """Squared gradient `|∇x|²` by forward differences; zero across the lower and right border.
-
-    Args:
-        value: (..., H, W).
-
-    Returns:
-        The squared gradient, same shape.
-    """
+    """Squared gradient `|∇x|²` (..., H, W) by forward differences; zero across the lower and right border."""
     down = value.diff(dim=-2, append=value[..., -1:, :])
     right = value.diff(dim=-1, append=value[..., :, -1:])
     return down.square() + right.square()
 
 
 def fill_nearest(image: Tensor, known: Tensor) -> Tensor:
-    """Fill unknown pixels with the nearest known pixel of the row; of the column, if the row has none.
-
-    Args:
-        image: (S, C, H, W).
-        known: Same shape, bool.
-
-    Returns:
-        The filled image; unchanged where known.
-    """
+    """Fill pixels of an image (S, C, H, W) that are not `known` with the nearest of the row; else of the column."""
     for axis in (-1, -2):
         side = image.shape[axis]
         at = torch.arange(side, device=image.device).unflatten(0, (-1, 1) if axis == -2 else (1, -1))
@@ -45,14 +30,9 @@ def fill_nearest(image: Tensor, known: Tensor) -> Tensor:
 
 
 def fill_pull_push(image: Tensor, known: Tensor) -> Tensor:
-    """Fill unknown pixels smoothly by pull-push over a pyramid of 2 x 2 averages.
+    """Fill pixels of an image (S, C, H, W) that are not `known` smoothly by pull-push over a pyramid of 2 x 2 averages.
 
-    Args:
-        image: (S, C, H, W).
-        known: Same shape, bool.
-
-    Returns:
-        The filled image; unchanged where known, or if nothing is known.
+    It is unchanged if nothing is known.
 
     Source: Gortler et al. 1996, "The lumigraph", section 3.
     """
@@ -76,16 +56,9 @@ def median_filter(image: Tensor) -> Tensor:
 
 
 def box_sum(images: Tensor, window: int = DEFAULT_WINDOW) -> Tensor:
-    """Sum over each window, with zeros beyond the border.
+    """Sum of images (N, 1, h, w) over each window of an odd side, px, with zeros beyond the border.
 
     Shifted images are added, which is twenty times as fast as the pooling of torch.
-
-    Args:
-        images: (N, 1, h, w).
-        window: Side, px; odd.
-
-    Returns:
-        The sums, same shape.
     """
     if len(images) > 1:  # one at a time stays in the cache
         return torch.cat([box_sum(image[None], window) for image in images])

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from deepir.config import Config
 
 MAX_ROUGHNESS_RATIO = 1.3  # roughness after correction over before, above which the maps do not fit
-MOTION_CHECK_FRAMES = 8  # first frames of a flat recording that are checked for motion
 
 
 def correct(
@@ -177,7 +176,7 @@ def _from_flats(files: Sequence[str], settings: Sequence[str]) -> CorrectionMaps
     for file in files:
         data = recording_config(file, settings, DATA_SETTINGS).data
         frames = stream_data(data)
-        first = list(itertools.islice(frames, MOTION_CHECK_FRAMES))
+        first = list(itertools.islice(frames, 8))  # are checked for motion
         means.append(calibration.mean_frame(itertools.chain(first, frames), file))
         if visible_motion(np.stack([np.ma.filled(frame.astype(float), np.nan) for frame in first])):
             echo(

@@ -13,6 +13,7 @@ from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.recorder import LiveKeyframes
 from deepir.multiview.pattern_gradients import contains_pattern, removes_more
+from deepir.recording.estimate import FINE_OFFSET
 from deepir.recording.segments import Segment
 
 MIN_QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
@@ -222,4 +223,4 @@ class Corrector:
 
 
 def _is_fine(segment: Segment | None) -> bool:
-    return segment is not None and segment.estimate is not None and segment.estimate.is_fine
+    return segment is not None and segment.estimate is not None and segment.estimate.kept == FINE_OFFSET

@@ -75,11 +75,11 @@ def few_frames(count: int, factor: Sequence[float]) -> list[str]:
     if count >= finer:
         return []
     needed, less = math.ceil(finer), math.isqrt(count)
-    words = " x ".join(f"{each:g}" for each in dict.fromkeys(factor))
     return [
         Message(
             "few-frames-for-factor",
-            f"{count} frames for factor {words}: the scene has {finer:g} px for each of the detector's, and "
+            f"{count} frames for factor {' x '.join(f'{each:g}' for each in dict.fromkeys(factor))}: "
+            f"the scene has {finer:g} px for each of the detector's, and "
             "each frame shows one sample of them; fine detail is in part the prior's. "
             f"Take {needed} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}",
         )

@@ -44,6 +44,9 @@ MAX_ERROR_OF_WHOLE_FRAMES = 1.0  # px, the same where those frames were averages
 #: Nats a sample for another cause from which they do not either: 0.15 at most where they do (hand-held, hot spots, and
 #: simulated pans of seeds 0 to 10), 0.22 and more in two pieces of a drive whose solution was worse than raw.
 MAX_MISFIT = 0.18
+#: Long periods of the frames' mean without the offset, relative to those with it, from which the offset is the scenes':
+#: both would cancel by a correlation of -0.64. Hand-held and under gain control 0.15 to 1.08, small drives 1.5 to 3.
+MAX_CANCELLATION = 1.3
 MIN_MOVING = 0.001  # share of the samples that show what moves by itself, from which it is said
 MIN_CHANGE_SIGMAS = 2.2  # of `changes` between neighbouring keyframes, below which nothing has moved
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
@@ -83,11 +86,6 @@ class SensorEstimate:
     contrasts: tuple[Array, Array] | None = None
     jumps: tuple[int, ...] = ()
     noise: float = np.nan
-
-    @property
-    def is_fine(self) -> bool:
-        """Whether the fine part of the offset alone is corrected."""
-        return self.kept == FINE_OFFSET
 
     @property
     def pattern_deviations(self) -> tuple[float, float]:
@@ -207,7 +205,7 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
     unsure = solution.motion_error > MAX_MOTION_ERROR
     precision = burst.usable.astype(np.float32) / burst.noise**2
     _, nats, _ = misfit(seen - expected, precision, precision, expected, np.ones_like(seen[:1]))
-    if nats > (MIN_MISFIT if unsure else MAX_MISFIT):
+    if nats > (MIN_MISFIT if unsure else MAX_MISFIT) or _cancel(small.mean(0), solution.offset):
         return None
     if unsure:  # at rest, all of the scene may pass for the pattern
         _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
@@ -232,6 +230,11 @@ def _of_registered(samples: _Samples, keyframes: Keyframes, jumps: Sequence[int]
         contrasts=(places, burst.gains * contrasts[numbers]) if gains_differ else None,
         jumps=tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
     )
+
+
+def _cancel(mean: Array, offset: Array) -> bool:
+    """Whether the mean of frames (h, w) varies less over long periods than the scenes would that an offset leaves."""
+    return bool(low_order_part(mean - offset).std() > MAX_CANCELLATION * low_order_part(mean).std())
 
 
 def _contrasts(frames: Array) -> Array:
