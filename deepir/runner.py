@@ -158,8 +158,8 @@ def execute(
         }
         return whole
     name, method = chosen(config)
-    factor = (config.physics.get("downsample") or {}).get("factor", 1)  # px of the scene for each of the detector
-    finer = float(np.prod(np.broadcast_to(factor, 2)))
+    # Pixels of the scene for each of the detector.
+    finer = float(np.prod(np.broadcast_to((config.physics.get("downsample") or {}).get("factor", 1), 2)))
     with threads.for_samples(int(data.frames.size * finer), config.threads), memory.kept(), seeded(config.seed):
         result: Result = method(data, config, callbacks=callbacks, checkpoint=checkpoint)
     result.messages = [*data.messages, *result.messages]

@@ -13,7 +13,6 @@ from deepir.calibration import CorrectionMaps
 from deepir.live.estimation import ENDED, ProcessEstimator, SynchronousEstimator
 from deepir.live.recorder import LiveKeyframes
 from deepir.multiview.pattern_gradients import contains_pattern, removes_more
-from deepir.recording.estimate import FINE_OFFSET
 from deepir.recording.segments import Segment
 
 MIN_QUICK_KEYFRAMES = 16  # before a quick estimate, of the fine offset, where frames are not corrected
@@ -206,8 +205,8 @@ class Corrector:
         """Whether an estimate leaves less pattern in a frame than there is now, or is the first with shading."""
         corrected = found.correct(frame)
         now = self._correct(frame) if self._fits else None
-        # Two estimates are compared by gradients, which hardly show shading.
-        if now is None or (_is_fine(self._segment) and not _is_fine(found)):
+        fine = [bool(each and each.estimate and each.estimate.is_fine) for each in (self._segment, found)]
+        if now is None or fine == [True, False]:  # gradients, by which two are compared, hardly show shading
             return contains_pattern(frame, corrected, found.maps.bad_pixels)
         return removes_more(now, corrected, found.maps.bad_pixels | self._bad_pixels)
 
@@ -220,7 +219,3 @@ class Corrector:
             former = self._former.correct(frame)
             corrected = former + np.float32(self._faded / FADE_LENGTH) * (corrected - former)
         return corrected
-
-
-def _is_fine(segment: Segment | None) -> bool:
-    return segment is not None and segment.estimate is not None and segment.estimate.kept == FINE_OFFSET

@@ -48,7 +48,7 @@ class Downsample(Operator):
         *head, height, width = x_shape
         sides = [side / factor for side, factor in zip((height, width), self.exact, strict=True)]
         if any(side.denominator > 1 for side in sides):
-            raise ValueError(f"downsample: {height} x {width} is no multiple of the factor {_words(self.factor)}")
+            raise ValueError(f"downsample: {height} x {width} is no multiple of the factor {in_words(self.factor)}")
         return (*head, *map(int, sides))
 
     def in_size(self, out_size: tuple[int, int]) -> tuple[int, int]:
@@ -60,8 +60,8 @@ class Downsample(Operator):
         height, width = (side * factor for side, factor in zip(out_size, self.exact, strict=True))
         if height.denominator > 1 or width.denominator > 1:
             raise ValueError(
-                f"downsample: {out_size[0]} x {out_size[1]} px times {_words(self.factor)} are no whole pixels; "
-                f"crop the frames to sides that are multiples of {_words([each.denominator for each in self.exact])}"
+                f"downsample: {out_size[0]} x {out_size[1]} px times {in_words(self.factor)} are no whole pixels; "
+                f"crop the frames to sides that are multiples of {in_words([each.denominator for each in self.exact])}"
             )
         return int(height), int(width)
 
@@ -96,6 +96,6 @@ def _parts(side: int, factor: float) -> Tensor:
     return (torch.minimum(last, pixels + 1) - torch.maximum(first, pixels)).clamp(0, 1)
 
 
-def _words(values: Sequence[float]) -> str:
+def in_words(values: Sequence[float]) -> str:
     """Values down and across in words, once if they are equal."""
     return " x ".join(f"{each:g}" for each in dict.fromkeys(values))

@@ -10,7 +10,7 @@ import numpy as np
 from deepir.estimation.cross_validation import WeightSearch
 from deepir.estimation.prior_weight import weigh_scene
 from deepir.messages import Message
-from deepir.operators import Downsample
+from deepir.operators.downsample import Downsample, in_words
 from deepir.optim.objective import hold_out
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import initial_estimate
@@ -78,8 +78,7 @@ def few_frames(count: int, factor: Sequence[float]) -> list[str]:
     return [
         Message(
             "few-frames-for-factor",
-            f"{count} frames for factor {' x '.join(f'{each:g}' for each in dict.fromkeys(factor))}: "
-            f"the scene has {finer:g} px for each of the detector's, and "
+            f"{count} frames for factor {in_words(factor)}: the scene has {finer:g} px for each of the detector's, and "
             "each frame shows one sample of them; fine detail is in part the prior's. "
             f"Take {needed} frames{f', or physics.downsample.factor={less}' if less > 1 else ''}",
         )

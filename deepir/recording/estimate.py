@@ -88,6 +88,11 @@ class SensorEstimate:
     noise: float = np.nan
 
     @property
+    def is_fine(self) -> bool:
+        """Whether the fine part of the offset alone is corrected."""
+        return self.kept == FINE_OFFSET
+
+    @property
     def pattern_deviations(self) -> tuple[float, float]:
         """Standard deviations of the offset, and of what is left of it; NaN where that is not known."""
         good = ~self.bad_pixels

@@ -71,7 +71,7 @@ def _is_little(estimate: SensorEstimate) -> bool:
 
 def _taken_off(corrected: CorrectedRecording, unit: str) -> str:
     (was, now), noise = corrected.estimate.pattern_deviations, corrected.estimate.noise
-    what = "the fine part of a" if corrected.estimate.kept == "fine offset" else "a"
+    what = "the fine part of a" if corrected.estimate.is_fine else "a"
     removed = f"{what} fixed pattern of {was:.3g} {unit}".rstrip() + " (standard deviation) was removed"
     if _is_little(corrected.estimate):
         return f"There was little to correct: {removed}, weaker than the noise of one frame."
