@@ -19,7 +19,7 @@ from deepir.config import load
 from deepir.estimation.prior_weight import adapt_weight_map, weigh_scene
 from deepir.fields.shading import Shading
 from deepir.optim.solve import solve
-from deepir.pipeline.prior_refinement import PriorRefinement
+from deepir.pipeline.schedule import PriorRefinement
 from deepir.problem import Problem
 from deepir.problems.initial_estimate import start_scene
 from deepir.problems.nuc import NUC

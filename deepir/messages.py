@@ -253,12 +253,14 @@ class Message(str):
         found.name = name
         return found
 
-    def within(self, where: str) -> Message:
-        """The message with what it is about."""
-        return type(self)(self.name, f"{where}: {self}")
-
     def __getnewargs__(self) -> tuple[str, str]:  # type: ignore[override]
         return self.name, str(self)
+
+
+def within(message: str, where: str) -> str:
+    """A message with the place that it is of."""
+    text = f"{where}: {message}"
+    return Message(message.name, text) if isinstance(message, Message) else text
 
 
 def labelled(messages: Iterable[str]) -> list[str]:

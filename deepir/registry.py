@@ -22,7 +22,7 @@ COMPONENT_MODULES = {
     "method": [
         "deepir.pipeline.bursts",
         "deepir.pipeline.reconstruct",
-        "deepir.pipeline.whole_recording",
+        "deepir.pipeline.reconstruct",
         "deepir.baselines",
     ],
     "operator": ["deepir.operators"],

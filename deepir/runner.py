@@ -28,9 +28,9 @@ from deepir.messages import labelled
 from deepir.metrics import roughness
 from deepir.optim.objective import Checkpoint
 from deepir.optim.solve import Progress
+from deepir.pipeline.reconstruct import chosen
 from deepir.pipeline.register import motion_model
 from deepir.pipeline.schedule import PROBLEMS, demand_order, make_recipe, plan, solve_bands
-from deepir.pipeline.whole_recording import chosen
 from deepir.problems.recipe import Recipe
 from deepir.registry import lookup
 from deepir.result import Result, compare_to_truth

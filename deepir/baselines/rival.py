@@ -20,8 +20,8 @@ from deepir.burst import Burst
 from deepir.config import Config
 from deepir.operators.motion_models import homographies
 from deepir.optim.objective import held_out_error, hold_out
-from deepir.pipeline.prior_refinement import registered_average
 from deepir.pipeline.register import motion_messages, register_frames
+from deepir.pipeline.schedule import registered_average
 from deepir.registry import lookup, register
 from deepir.result import Result, neutral, to_gauge
 

@@ -156,7 +156,7 @@ def _registered_step(config: Config) -> float:
 
 def _configuration(name: str, settings: list[str]) -> int:
     from deepir.config import load
-    from deepir.pipeline.whole_recording import chosen
+    from deepir.pipeline.reconstruct import chosen
     from deepir.storage.folder import RunFolder
 
     config = load(name, settings)

@@ -153,13 +153,9 @@ def _along(images: Array, axis: int, taps: tuple[float, float, float]) -> Array:
 
 
 def _nats(images: Sequence[Array], white: Array, grid: tuple[int, int], *, softer: bool = False) -> Array:
-    """Evidence (N,) of coefficients of images (N, h, w) that are free in each cell of a grid, and in each frame.
+    """Evidence (N,) of coefficients of images (N, h, w) in white residuals, free in each cell of a grid and each frame.
 
-    Args:
-        images: By which the residuals are explained, noise standard deviations.
-        white: Residuals, (N, h, w).
-        grid: Rows and columns of cells.
-        softer: Only of frames whose first two coefficients, of second derivatives, sum up to a blur.
+    `softer`: only of frames whose first two coefficients, of second derivatives, sum up to a blur.
     """
     starts = [np.arange(n) * side // n for n, side in zip(grid, white.shape[1:], strict=True)]
 

@@ -3,8 +3,18 @@
 from deepir.io.frames import Frames, cropped, read_data, read_frames, stream_data
 from deepir.io.inspection.checks import crop, validate
 from deepir.io.inspection.describe import describe
-from deepir.io.maps import fit_truth, read_mask, read_truth
-from deepir.io.output import atomic_file, atomic_files, write_json, write_mat, write_npz, write_preview, write_tiff
+from deepir.io.output import (
+    atomic_file,
+    atomic_files,
+    fit_truth,
+    read_mask,
+    read_truth,
+    write_json,
+    write_mat,
+    write_npz,
+    write_preview,
+    write_tiff,
+)
 
 __all__ = [
     "Frames",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -11,19 +12,19 @@ import torch
 from deepir.assembly import build
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.fit import doubtful_motion, misfit_message, scene_in_pattern_message
-from deepir.diagnostics.frames import equalised_message
+from deepir.config.components import options_schema, validate
+from deepir.diagnostics.fit import doubtful_motion, equalised_message, misfit_message, scene_in_pattern_message
 from deepir.effects.bad_pixels import region_message
 from deepir.effects.frame_gain import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
+from deepir.io.inspection.samples import has_eight_bits
 from deepir.operators.motion_models import homographies
 from deepir.optim.objective import Checkpoint, hold_out
 from deepir.optim.solve import Progress, Solution, solve
-from deepir.pipeline.collect import make_result, mark_unseen, unseen_scene
-from deepir.pipeline.data_sets import solve_data_sets
-from deepir.pipeline.posterior_samples import sampled_uncertainty
+from deepir.pipeline.bursts import solve_data_sets
+from deepir.pipeline.collect import make_result, mark_unseen, sampled_uncertainty, unseen_scene
 from deepir.pipeline.register import frames_of_burst, motion_messages, register_frames
 from deepir.pipeline.safeguard import safeguarded, unregistered
 from deepir.pipeline.schedule import (
@@ -36,8 +37,9 @@ from deepir.pipeline.schedule import (
 )
 from deepir.problem import Problem
 from deepir.problems.recipe import Recipe
-from deepir.registry import register
-from deepir.result import Result
+from deepir.recording.correct import CorrectedRecording
+from deepir.registry import lookup, register
+from deepir.result import Result, neutral
 
 
 @register("method", "joint")
@@ -150,3 +152,56 @@ def _demand_strengths(problem: Problem) -> None:
                     f"{where}: its part '{type(part).__name__.lower()}' needs a sigma, in the unknown's units; "
                     "only those of gain and offset are found from the data"
                 )
+
+
+def chosen(config: Config) -> tuple[str, Callable[..., Result]]:
+    """The name of `config.method`, and the method with its options.
+
+    What is returned is called as `method(burst, config, callbacks=..., checkpoint=...)`; a method that has no use for
+    the last two need not take them.
+
+    Raises:
+        ConfigError: No method has this name, it does not take these options, or it has no samples.
+    """
+    given = config.method if isinstance(config.method, dict) else {"type": config.method}
+    name = str(given.get("type", "joint"))
+    method = lookup("method", name, "method")
+    options = {key: value for key, value in given.items() if key != "type"}
+    values = validate(options_schema(method), options, f"method '{name}'")
+    takes = inspect.signature(method).parameters
+    if config.uncertainty.samples and "checkpoint" not in takes:  # it solves no problem
+        raise ConfigError(f"uncertainty.samples: method '{name}' has no posterior to draw from; take method=joint")
+    return name, lambda *data, **context: method(*data, **{k: v for k, v in context.items() if k in takes}, **values)
+
+
+@register("method", "recording")
+def recording(burst: Burst, config: Config) -> Result:
+    """The sensor from a whole recording of a moving camera, as `deepir correct`; each frame's scene is corrected.
+
+    Args:
+        burst: All frames of the recording, in their order.
+        config: The configuration.
+
+    Raises:
+        DataError: Few frames differ, or the camera stands still.
+    """
+    frames = burst.frames.astype(np.uint8) if has_eight_bits(burst.frames) else burst.frames
+    if (lost := ~burst.valid & ~burst.bad_pixels).any():
+        frames = np.ma.masked_array(frames, lost)
+    corrected = CorrectedRecording.of(lambda: iter(frames))
+    maps, estimates = corrected.maps, [each.estimate for each in corrected.segments if each.estimate]
+    result = neutral(corrected.frames, len(frames), burst.size, burst.bad_pixels | maps.bad_pixels)
+    return dataclasses.replace(
+        result,
+        gain=maps.gain.astype(np.float32),
+        offset=maps.offset.astype(np.float32),
+        messages=list(dict.fromkeys(message for each in estimates for message in each.messages)),
+        metrics={
+            "correction": corrected.estimate.kept,
+            "first_frames": [each.first for each in corrected.segments],
+            "motion_error": corrected.estimate.motion_error,
+            "iterations": 0,
+            "evaluations": 0,
+            "stop_reason": f"estimated from {len(corrected.keyframes.frames)} of {len(frames)} frames",
+        },
+    )

@@ -12,7 +12,7 @@ from deepir.analysis import MIN_MOTION_SPAN
 from deepir.arrays.windows import fill_nearest
 from deepir.burst import Burst
 from deepir.config import Config
-from deepir.diagnostics.frames import longest_shutter_segment, shutter_message
+from deepir.diagnostics.fit import longest_shutter_segment, shutter_message
 from deepir.errors import DataError
 from deepir.messages import Message
 from deepir.problems.recipe import Recipe

@@ -318,10 +318,6 @@ def refined_motion(
 def _accelerated(steps: Sequence[Array], taken: Sequence[Array]) -> Array:
     """The change (n, 8) that takes the place of the last step: each step is of one frame, as if all others were right.
 
-    Args:
-        steps: so far, (n, 8) each.
-        taken: the changes that took their place, but for the last.
-
     Source: Anderson, "Iterative procedures for nonlinear integral equations", J. ACM 12, 1965.
     """
     if not taken:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -82,6 +83,8 @@ class Burst:
         curvature: of the motion, see `deepir.recording.alignment`.
         gains_differ: whether an automatic gain control may change the frames' gains.
     """
+
+    independent = True  # of other bursts
 
     def __init__(
         self,
@@ -270,9 +273,20 @@ def _frames_alike(frames: Array, around: int, pattern: Array) -> tuple[Array, Ar
     return None
 
 
-def find_burst(
-    frames: Array, usable: Array, around: int, start: Array, *, gains_differ: bool
-) -> tuple[Burst, Array, Array] | None:
+@dataclass(frozen=True)
+class Bursts:
+    """Bursts, each of one scene, and the numbers of the frames of each."""
+
+    bursts: list[Burst]
+    frames: list[Array]
+
+    @property
+    def numbers(self) -> Array:
+        """Of all frames."""
+        return np.concatenate(self.frames)
+
+
+def find_burst(frames: Array, usable: Array, around: int, start: Array, *, gains_differ: bool) -> Bursts | None:
     """Frames that show the scene of a reference, as far apart as they are; None where too few do.
 
     Args:
@@ -281,9 +295,6 @@ def find_burst(
         around: number of the reference.
         start: (h, w), a pattern that is taken off before frames are compared.
         gains_differ: whether an automatic gain control may change the frames' gains.
-
-    Returns:
-        The burst, the numbers of its frames, and the pattern (h, w) that they share.
 
     Raises:
         CameraAtRestError: Most frames show the same at the same place.
@@ -303,7 +314,35 @@ def find_burst(
     curvature = CURVATURES[int(np.argmin(trials))]
     motion = links.motion(curvature, half)[chosen]
     burst = Burst(frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ)
-    return burst, kept, pattern
+    return Bursts([burst], [kept])
+
+
+def short_bursts(
+    frames: Array, usable: Array, stretches: Sequence[Array], start: Array, *, gains_differ: bool
+) -> Bursts | None:
+    """Frames of short stretches of a recording, within which near and far things move nearly alike; None of one.
+
+    Args:
+        frames, usable: (N, h, w), float32 and bool.
+        stretches: numbers of the frames of each.
+        start: (h, w), a pattern that is taken off before frames are compared.
+        gains_differ: whether an automatic gain control may change the frames' gains.
+    """
+    bursts, kept, half = list[Burst](), list[Array](), max(frames.shape[1:]) / 2
+    for stretch in stretches:
+        middle = len(stretch) // 2
+        try:
+            found = _frames_alike(frames[stretch], middle, start.astype(np.float32))
+        except CameraAtRestError:
+            found = None
+        if found is None:
+            continue
+        numbers, chosen, links = found
+        reference, motion = int(np.searchsorted(numbers[chosen], middle)), links.motion(0.0, half)[chosen]
+        numbers = stretch[numbers[chosen]]
+        bursts.append(Burst(frames[numbers], usable[numbers], motion, reference, gains_differ=gains_differ))
+        kept.append(numbers)
+    return Bursts(bursts, kept) if len(bursts) > 1 else None
 
 
 def changes(frames: Array, pairs: Sequence[tuple[int, int]], pattern: Array) -> Array:

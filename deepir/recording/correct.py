@@ -22,7 +22,7 @@ FEW = 10  # frames, of fewer of which all are needed, whatever they are worth
 def findings_lines(estimate: SensorEstimate) -> Iterator[str]:
     """Lines on how the frames register, and how sure the offset of an estimate is."""
     if np.isfinite(estimate.motion_error):
-        yield "motion: the frames register as a whole, and were solved together with their scene"
+        yield "motion: the frames register, and were solved together with their scenes"
     else:
         yield "motion: near and far things move differently; the offset rests on local displacements"
     found, left = estimate.pattern_deviations

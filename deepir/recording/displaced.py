@@ -55,6 +55,7 @@ class DisplacedFrames:
     """
 
     gains_differ = False
+    independent = False  # of other references, whose frames are partly the same
 
     def __init__(self, frames: Array, found: Sequence[Displacement], noise: float) -> None:
         self.noise, self.level_variance, self.inflation = noise, (LEVEL_STEP * noise) ** 2, 1.0

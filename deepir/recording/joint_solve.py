@@ -9,7 +9,7 @@ the motion does not determine stays at its prior mean, zero.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,6 +36,12 @@ STEPS = 3  # of conjugate gradients in a round
 UPDATES = 4  # of the strengths in a round
 SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
 GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
+#: px, error of the motion, and variance of the misfit in that of the samples, up to which frames register but for near
+#: things: walks of stretches 0.09 to 0.25, pans and flights up to 0.28 and 34, drives 0.3 to 1.6 or 43 and more.
+MAX_MOTION_ERROR, MAX_MISFIT = 0.3, 40.0
+#: Of stretches: misfit from which they will not register (after a round 53 to 209, drives from 383), and deviation of
+#: the part of long periods, relative to it, up to which it counts (right 0.01 to 0.16, worse than raw from 0.3).
+HOPELESS_MISFIT, MAX_UNCERTAINTY = 300.0, 0.25
 GAIN_DEVIATION = 0.003  # of columns' and pixels' gain from one, to start from
 
 
@@ -48,7 +54,10 @@ class SensorSolution:
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
         low_order: part of long periods of the offset, and its posterior variance, (h, w) each.
+        uncertainty: posterior standard deviation of the part of long periods that is determined, relative to that part.
         motion_error: of the frames, px; inf where they do not register.
+        inflation: variance of the misfit at the scale where it is largest, relative to the samples' noise.
+        told: share of the modes of long periods that the motion tells.
         noise: of a sample, frames' units; NaN where it is not known.
     """
 
@@ -56,24 +65,38 @@ class SensorSolution:
     gain: Array
     deviation: Array | None
     low_order: tuple[Array, Array]
+    uncertainty: float
     motion_error: float
+    inflation: float
+    told: float
     noise: float
+
+    @property
+    def registers(self) -> bool:
+        """Whether frames register but for near things."""
+        return self.motion_error <= MAX_MOTION_ERROR and self.inflation <= MAX_MISFIT
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether stretches register, and tell the part of long periods."""
+        return self.motion_error <= MAX_MOTION_ERROR and self.uncertainty <= MAX_UNCERTAINTY and self.told > 0.5
 
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
-        return cls(offset, np.ones_like(offset), None, (offset, np.zeros_like(offset)), np.inf, np.nan)
+        low_order = offset, np.zeros_like(offset)
+        return cls(offset, np.ones_like(offset), None, low_order, np.inf, np.inf, np.inf, 0.0, np.nan)
 
 
-def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
+def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
     """Estimate offset and gain of a sensor.
 
     Args:
-        burst: of one scene; its motion, levels and gains are refined in place.
+        bursts: each of one scene; their motions, levels and gains are refined in place.
         start: (h, w), an offset whose fine part is right; its low-order part is not used.
         low_order: part of long periods, and its variance, (h, w) each, found already; None: they are estimated.
     """
-    size = burst.frames.shape[1:]
+    size = start.shape
     modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
     prior = PatternPrior(dct(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
@@ -82,28 +105,46 @@ def solve_sensor(burst: Burst, start: Array, low_order: tuple[Array, Array] | No
     fine[0, 0] = False
     broad = prior.start
     for number in range(ROUNDS - 1 if low_order else 0, ROUNDS):
-        burst.align(offset, gain, FREE_MOTION[number])
-        burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
-        told, found = burst.tells, dct(offset)
+        for burst in bursts:
+            burst.align(offset, gain, FREE_MOTION[number])
+            burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
+        told, found = np.any([burst.tells for burst in bursts], axis=0), dct(offset)
         prior.start = np.where(told, broad, broad[0, 0])
         of_sensor = np.minimum(1, broad / np.maximum(group_power(found, prior.groups), 1e-30))
         offset = idct(np.where(told, found, of_sensor * found))  # the rest stays, without what is the scene's
         if not low_order:
-            step, covariance = low_order_step([burst], modes, prior, offset, gain)
+            step, covariance = low_order_step(bursts, modes, prior, offset, gain)
             offset = offset + step
-        information, trusted = _information(burst)
-        offset = _fine_steps(burst, offset, gain, prior, information, np.where(fine & told, trusted, 0.0))
+        informations, shares = zip(*map(_information, bursts), strict=True)
+        information = np.sum(informations, axis=0)
+        trusted = [np.where(fine & burst.tells, each, 0.0) for burst, each in zip(bursts, shares, strict=True)]
+        offset = _fine_steps(bursts, offset, gain, prior, information, trusted)
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
+        inflation = float(np.mean([burst.inflation for burst in bursts]))
+        if len(bursts) > 1 and inflation > HOPELESS_MISFIT:
+            return SensorSolution.of_offset(offset)
         if number >= FIRST_GAIN_ROUND:
-            offset, gain, extrapolated = _with_gain(burst, offset, gain)
+            offset, gain, extrapolated = _with_gain(bursts, offset, gain)
     left = np.where(told, 0.0, broad + (dct(start) - dct(offset)) ** 2)  # what may be the scene's, or not
+    uncertainty = 0.0
     if not low_order:
+        uncertainty = float(np.trace(covariance) ** 0.5 / max(np.linalg.norm(modes.analyse(offset)), 1e-30))
         covariance = covariance + np.diag(modes.variances(left))
         low_order = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
     fine_variance = (np.where(told, posterior, 0.0) + left)[fine].sum() / posterior.size + extrapolated
     deviation = np.sqrt(low_order[1] + fine_variance)
-    return SensorSolution(offset - offset.mean(), gain, deviation, low_order, burst.motion_error, burst.noise)
+    return SensorSolution(
+        offset - offset.mean(),
+        gain,
+        deviation,
+        low_order,
+        uncertainty,
+        float(np.mean([burst.motion_error for burst in bursts])),
+        inflation,
+        float(told[modes.low].mean()),
+        float(np.mean([burst.noise for burst in bursts])),
+    )
 
 
 def low_order_step(
@@ -135,6 +176,11 @@ def low_order_step(
                 evidence.append(_fit([burst], systems[k : k + 1], prior, modes, before).evidence)
             burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
     best = _fit(bursts, systems, prior, modes, before)
+    if len(bursts) > 1 and all(burst.independent for burst in bursts):
+        disagreement = _disagreement(best)
+        for burst in bursts:
+            burst.inflation *= disagreement
+        best = _fit(bursts, systems, prior, modes, before)
     for burst, system, own in zip(bursts, systems, best.reduced, strict=True):
         each = own.of(best.change).reshape(-1, system.per_frame)
         burst.levels = burst.levels + each[:, 0]
@@ -181,6 +227,20 @@ def _fit(
     evidence = 0.5 * (score @ mean + np.linalg.slogdet(covariance)[1] - np.log(variance).sum())
     evidence += sum(each.evidence for each in reduced) - own @ before - 0.5 * (before @ data @ before)
     return _Fit(mean - before, covariance, variance, float(evidence), reduced)
+
+
+def _disagreement(fit: _Fit) -> float:
+    """Variance of what single bursts tell of the modes about what all tell, relative to that expected; at least one.
+
+    Source: Birge, "The calculation of errors by the method of least squares", Phys. Rev. 40, 1932.
+    """
+    found = expected = 0.0
+    for each in fit.reduced:
+        rest = each.score - each.matrix @ fit.change
+        spread = np.linalg.inv(each.matrix + np.diag(1 / fit.variance))
+        found += float(rest @ spread @ rest)
+        expected += float((spread * each.matrix).sum())
+    return max(1.0, found / max(expected * (1 - 1 / len(fit.reduced)), 1e-30))
 
 
 @dataclass(frozen=True)
@@ -245,20 +305,28 @@ def _information(burst: Burst) -> tuple[Array, Array]:
 
 
 def _fine_steps(
-    burst: Burst, offset: Array, gain: Array, prior: PatternPrior, information: Array, trusted: Array
+    bursts: Sequence[Burst],
+    offset: Array,
+    gain: Array,
+    prior: PatternPrior,
+    information: Array,
+    trusted: Sequence[Array],
 ) -> Array:
     """The offset after steps of conjugate gradients in its modes outside the low-order part."""
-    inverse = np.where(trusted > 0, 1 / prior.variance, 0.0)
-    precondition = np.where(trusted > 0, 1 / (information + 1 / prior.variance), 0.0)
+    free = np.any([each > 0 for each in trusted], axis=0)
+    inverse = np.where(free, 1 / prior.variance, 0.0)
+    precondition = np.where(free, 1 / (information + 1 / prior.variance), 0.0)
 
-    def data(frames: Array) -> Array:
-        return np.asarray(trusted * dct(burst.score(frames) / gain))
+    def data(frames: Iterable[Array]) -> Array:
+        shown = zip(bursts, trusted, frames, strict=True)
+        return np.asarray(sum(share * dct(burst.score(each) / gain) for burst, share, each in shown))
 
     def normal(modes: Array) -> Array:
-        return data((idct(modes) / gain).astype(np.float32)[None]) + inverse * modes
+        frames = (idct(modes) / gain).astype(np.float32)[None]
+        return data([frames] * len(bursts)) + inverse * modes
 
     modes = dct(offset)
-    rest = data(burst.corrected(offset, gain)) - inverse * modes
+    rest = data(burst.corrected(offset, gain) for burst in bursts) - inverse * modes
     return np.asarray(idct(modes + _conjugate_gradient(normal, rest, precondition)))
 
 
@@ -279,7 +347,7 @@ def _conjugate_gradient(normal: Callable[[Array], Array], rest: Array, precondit
     return found
 
 
-def _with_gain(burst: Burst, offset: Array, gain: Array) -> tuple[Array, Array, Array]:
+def _with_gain(bursts: Sequence[Burst], offset: Array, gain: Array) -> tuple[Array, Array, Array]:
     """Offset and gain after a step by the slope of each pixel's residuals over the scene that it saw.
 
     Third, the variance (h, w) that the gain's adds to the offset's: a pixel that saw other levels extrapolates.
@@ -287,11 +355,12 @@ def _with_gain(burst: Burst, offset: Array, gain: Array) -> tuple[Array, Array, 
     The gain is one, a share of the offset, a part of each column, and one of each pixel; the share and the variances
     are those that suit the data.
     """
-    frames, seen = burst.compared(offset, gain)
-    weighted, missing = burst.weights / burst.inflation, frames - seen
-    weight, first, second, rest, slope = (
-        (weighted * each).sum(0, dtype=float) for each in (1.0, seen, seen**2, missing, missing * seen)
-    )
+    sums = np.zeros((5, *offset.shape))
+    for burst in bursts:
+        frames, seen = burst.compared(offset, gain)
+        weighted, missing = burst.weights / burst.inflation, frames - seen
+        sums += [(weighted * each).sum(0, dtype=float) for each in (1.0, seen, seen**2, missing, missing * seen)]
+    weight, first, second, rest, slope = sums
     middle = first / np.maximum(weight, np.finfo(float).tiny)
     information = np.maximum(second - first * middle, 0.0)
     score = slope - rest * middle + information * (gain - 1)
@@ -311,12 +380,7 @@ def _with_gain(burst: Burst, offset: Array, gain: Array) -> tuple[Array, Array, 
 
 
 def _share_of_offset(offset: Array, information: Array, score: Array) -> Array:
-    """The part of the gain (h, w) in proportion to the offset: far from a camera's zero, gain makes most of it.
-
-    Args:
-        offset: (h, w).
-        information, score: of the gain, (h, w): inverse variances, and these times its deviation from one.
-    """
+    """The part of the gain (h, w) in proportion to the offset: far from a camera's zero, gain makes most of it."""
     pattern = offset - offset.mean()
     power = float((information * pattern**2).sum())
     if not power > 0:

@@ -90,6 +90,15 @@ class Keyframes:
         apart = np.abs(self.numbers - self.numbers[:, None]) / self.spacings[:, None]
         return [np.flatnonzero((row > 0.5) & (row < GROUP_SIZE - 0.5)).tolist() for row in apart]
 
+    @property
+    def stretches(self) -> list[Array]:
+        """Indices of keyframes in a row that show the same things displaced: seven, at the spacing of groups."""
+        cuts = [0]
+        for k, number in enumerate(self.numbers):
+            if number - self.numbers[cuts[-1]] > (2 * GROUP_SIZE - 1.5) * self.spacings[cuts[-1]]:
+                cuts.append(k)
+        return spread(np.split(np.arange(len(self.numbers)), cuts[1:]), MAX_GROUPS // 2)
+
 
 def choose_keyframes(recording: Iterable[Array]) -> Keyframes:
     """Read a recording once and keep groups of frames, spread over it; all that differ of a short one.

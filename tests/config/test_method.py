@@ -7,7 +7,7 @@ from pydantic import Field
 
 from deepir.config import dump, load, read
 from deepir.errors import ConfigError
-from deepir.pipeline.whole_recording import chosen
+from deepir.pipeline.reconstruct import chosen
 from deepir.registry import register
 
 

@@ -12,7 +12,7 @@ from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
 from deepir.fields.sensor_maps import Pixel
 from deepir.operators import Sensor
-from deepir.pipeline.posterior_samples import posterior_samples
+from deepir.pipeline.collect import posterior_samples
 from deepir.problem import Problem
 from deepir.schedule import Stage, Step
 from tests.effects import solved as bursts

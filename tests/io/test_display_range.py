@@ -8,7 +8,7 @@ import pytest
 import skimage.data
 
 import deepir
-from deepir.diagnostics.frames import is_equalised
+from deepir.diagnostics.fit import is_equalised
 from deepir.io.inspection.samples import clipped_samples, is_contrast_stretched
 from deepir.metrics import scores
 from deepir.optim.solve import Progress

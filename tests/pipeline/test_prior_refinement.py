@@ -12,8 +12,7 @@ from deepir.assembly import build
 from deepir.config import load
 from deepir.errors import ConfigError, DeepIRError
 from deepir.optim.solve import solve
-from deepir.pipeline.prior_refinement import PriorRefinement
-from deepir.pipeline.schedule import plan
+from deepir.pipeline.schedule import PriorRefinement, plan
 from deepir.problems.recipe import Generic
 from deepir.registry import lookup
 from deepir.storage.stored import FileCheckpoint

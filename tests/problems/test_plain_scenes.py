@@ -35,30 +35,31 @@ def test_a_rigid_motion_that_may_bend_is_where_it_was():
 
 
 def plain_scenes():
-    # Settings, scene, seed, and least PSNR in dB.
+    # Settings, scene, seeds, and least PSNR in dB, in their median: one alone depends on the processor.
     return {
         "turns": (Settings(
             n_frames=8, shape=(160, 192), max_shift=16.0, max_rotation=1.0, gain_pixel=0.03, gain_column=0.005,
             gain_row=0.01, offset_pixel=0.03, offset_column=0.01, offset_row=0.0, shading=0.3, photons=2000.0,
             noisy_pixels=0.002, psf_sigma=1.0, airy_radius=1.0, motion_blur=1.0,
-        ), 7, 25, 49),
+        ), 7, (25,), 49),
         "bends": (Settings(
             n_frames=6, shape=(96, 128), counts=True, pedestal=4000.0, motion="homography", max_shift=10.0,
             gain_pixel=0.06, gain_column=0.02, gain_row=0.03, offset_pixel=0.06, offset_column=0.03, offset_row=0.0,
             read_noise=0.001, dead_pixels=0.0, psf_sigma=1.0,
-        ), 4, 13, 60),
+        ), 4, (13, 14, 15), 60),
         "many times the noise": (Settings(
             n_frames=6, shape=(96, 128), counts=True, pedestal=3000.0, max_rotation=2.0, gain_pixel=0.01, gain_row=0.05,
             offset_row=0.03, offset_column=0.02, offset_pixel=0.02, shading=0.0, read_noise=0.0007,
-        ), 4, 87, 57),
+        ), 4, (87,), 57),
     }  # fmt: skip
 
 
-@pytest.mark.parametrize(("camera", "scene", "seed", "least"), plain_scenes().values(), ids=plain_scenes())
-def test_the_motion_of_a_plain_scene_is_found_once_the_pattern_is_known(camera, scene, seed, least):
+@pytest.mark.parametrize(("camera", "scene", "seeds", "least"), plain_scenes().values(), ids=plain_scenes())
+def test_the_motion_of_a_plain_scene_is_found_once_the_pattern_is_known(camera, scene, seeds, least):
     """Registration, which does not know the pattern, is 1 to 2.4 px off: 43 to 45 dB."""
-    sim = simulate(sky(scene, (430, 500)), camera, seed=seed)
-    assert scores(deepir.run("nuc", frames=sim.frames, threads=1).scene, sim.truth.scene)["psnr_aligned"] > least
+    sims = [simulate(sky(scene, (430, 500)), camera, seed=seed) for seed in seeds]
+    found = [scores(deepir.run("nuc", frames=sim.frames, threads=1).scene, sim.truth.scene) for sim in sims]
+    assert np.median([each["psnr_aligned"] for each in found]) > least
 
 
 def test_what_is_known_to_move_is_not_in_the_start():

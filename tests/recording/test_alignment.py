@@ -41,9 +41,9 @@ def test_the_curvature_of_a_pan_is_found(curvature):
         frames.append(ndimage.map_coordinates(scene, [v + 150, u + 200], order=3))
     frames = np.array(frames, np.float32) + rng.normal(size=(16, *SIZE)).astype(np.float32)
     usable = np.ones(frames.shape, bool)
-    burst, numbers, _ = find_burst(frames, usable, 8, np.zeros(SIZE), gains_differ=False)
-    assert burst.curvature == pytest.approx(curvature, abs=0.02)
-    assert len(numbers) >= 12
+    found = find_burst(frames, usable, 8, np.zeros(SIZE), gains_differ=False)
+    assert found.bursts[0].curvature == pytest.approx(curvature, abs=0.02)
+    assert len(found.numbers) >= 12
 
 
 def test_the_equations_of_a_step_are_sums_over_what_it_moves():

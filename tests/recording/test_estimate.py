@@ -9,8 +9,11 @@ import deepir
 from deepir.correct_recording import correct
 from deepir.errors import DataError
 from deepir.multiview.pattern_gradients import gradient_consensus
+from deepir.recording.burst import Burst
 from deepir.recording.defective_pixels import defective_pixels, of_neighbours, rounding_deviation
 from deepir.recording.displaced import fine_part
+from deepir.recording.joint_solve import low_order_step
+from deepir.recording.modes import LowOrderModes, PatternPrior, dct
 from deepir.simulate.recording import RecordingSettings, residual_pattern, simulate_recording
 
 
@@ -144,9 +147,17 @@ def test_a_camera_at_rest_is_refused(walk, recording):
         correct(recording(walk).round().astype(np.uint16))
 
 
-def test_a_drive_of_which_some_frames_seem_to_register_is_not_made_worse():
-    film = simulate_recording(RecordingSettings(kind="drive", n_frames=240, shape=(120, 160)), seed=11)
-    assert residual_pattern(correct(film.frames).frames, film) < residual_pattern(film.frames, film)
+@pytest.mark.parametrize(
+    ("camera", "seed", "most"),
+    [
+        ({"kind": "drive", "n_frames": 240}, 11, 1.0),  # of which some frames seem to register
+        ({"kind": "walk", "n_frames": 60}, 15, 0.1),  # of which short stretches register
+        ({"kind": "walk", "n_frames": 60, "shutter_every": 60.0, "drift": 0.01}, 15, 1.0),
+    ],
+)
+def test_a_camera_among_near_things_leaves_less_than_raw_frames_have(camera, seed, most):
+    film = simulate_recording(RecordingSettings(shape=(120, 160), **camera), seed=seed)
+    assert residual_pattern(correct(film.frames).frames, film) < most * residual_pattern(film.frames, film)
 
 
 def test_one_frame_is_refused(walk):
@@ -159,3 +170,51 @@ def test_a_gain_that_makes_the_offset_is_found_in_a_scene_of_little_contrast():
     film = simulate_recording(RecordingSettings(kind="walk", n_frames=60, shape=(96, 128), dead_pixels=0.0), seed=23)
     found, truth = correct(film.frames).maps.gain, film.truth.gain
     assert np.std(found / found.mean() - truth / truth.mean()) < 0.5 * truth.std()
+
+
+def test_a_slope_along_either_axis_is_made_of_modes_exactly():
+    modes = LowOrderModes((48, 64), 16.0, slopes=True)
+    for slope in np.indices((48, 64)) - np.array([23.5, 31.5])[:, None, None]:
+        np.testing.assert_allclose(modes.synthesise(modes.analyse(slope)), slope, atol=1e-10)
+
+
+def test_the_drift_of_levels_is_found_whatever_offset_is_known_so_far():
+    rng, size = np.random.default_rng(4), (48, 64)
+    shifts = np.stack([2 * np.arange(16), np.round(12 * np.sin(np.arange(16)))], 1).astype(int)
+    levels, fine = np.cumsum(rng.normal(0, 3, 16)), rng.normal(0, 4, size)
+    scenes = [data.camera()[200 + y : 248 + y, 200 + x : 264 + x] for y, x in shifts]
+    frames = np.stack(scenes) + levels[:, None, None] + fine + rng.normal(0, 1, (16, *size))
+    motion = np.tile(np.eye(3), (16, 1, 1))
+    motion[:, :2, 2] = shifts[:, ::-1]
+    modes = LowOrderModes(size, 16.0, slopes=True)
+    for start in (fine, fine + np.linspace(-20, 20, 48)[:, None]):
+        burst = Burst(frames.astype(np.float32), np.ones(frames.shape, bool), motion, 0)
+        burst.weigh(start, np.ones(size), 0.1, robust=False)
+        low_order_step([burst], modes, PatternPrior(dct(fine)), start, np.ones(size))
+        assert 9 / 10 < burst.level_variance < 9 * 10  # decades are tried
+
+
+METHOD = "method=recording"
+
+
+def test_a_run_is_what_correct_finds_with_a_report_and_lost_samples_do_not_count(walk, tmp_path, estimated_once):
+    frames = walk.frames[::4].astype(np.float32)
+    frames[3:6, 40:60, 50:80] = np.nan
+    result = deepir.run("recording", METHOD, f"output.dir={tmp_path / 'run'}", frames=frames)
+    corrected = deepir.correct(frames)
+    assert np.array_equal(result.gain, corrected.maps.gain.astype(np.float32))
+    assert np.array_equal(result.offset, corrected.maps.offset.astype(np.float32))
+    assert np.array_equal(result.scene, corrected.frames, equal_nan=True)
+    assert result.metrics["correction"] == corrected.estimate.kept
+    assert (tmp_path / "run" / "report.html").exists()
+    assert not result.bad_pixels[40:60, 50:80].all()
+    level = 8450  # of the frames: there the pattern is known best
+    found = result.offset + (result.gain - 1) * level
+    true = walk.fine + walk.slow + (walk.gain - 1) * (level - 8000)
+    assert np.corrcoef(found[~walk.bad], true[~walk.bad])[0, 1] > 0.99
+
+
+@pytest.mark.parametrize("wrong", ["method.correction=offset", "method.gain=1"])
+def test_a_wrong_choice_is_refused(walk, wrong):
+    with pytest.raises(deepir.DeepIRError, match=r"allowed|unknown"):
+        deepir.run("recording", METHOD, wrong, frames=walk.frames[:5])

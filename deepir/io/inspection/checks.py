@@ -210,13 +210,7 @@ def _rough(rows: Array) -> Array:
 
 
 def _at_start(rows: Array, usual: float, step: float) -> int:
-    """Number of telemetry rows at the start.
-
-    Args:
-        rows: (N, K, w), these and the next ones, from the edge on.
-        usual: Roughness of a picture row.
-        step: Usual difference of neighbouring picture rows.
-    """
+    """Number of telemetry rows at the start of rows (N, K, w), by roughness and difference of usual picture rows."""
     rough, known = _rough(rows), _known(rows)
     peaks = np.median(np.nan_to_num(np.abs(np.diff(known, axis=-1))).max(-1), axis=0)
     for count in range(MAX_TELEMETRY_ROWS, 0, -1):

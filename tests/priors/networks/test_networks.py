@@ -9,9 +9,8 @@ from torch import nn
 from deepir.assembly import build_scene
 from deepir.config import load
 from deepir.priors.networks.base import Network
-from deepir.priors.networks.coordinates import Gabor, Sine, Siren
+from deepir.priors.networks.coordinates import Gabor, Grid, Sine, Siren
 from deepir.priors.networks.dip import DIP
-from deepir.priors.networks.grid import Grid
 from deepir.priors.networks.skip_network import Padded, Skip, upsample_join_convolve
 from deepir.registry import components
 

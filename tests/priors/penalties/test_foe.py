@@ -108,13 +108,10 @@ def test_its_stiffness_is_that_of_its_second_derivatives():
     assert 0.05 * steep < bent < steep  # of squares that touch it from above, which bend more
 
 
-def test_training_goes_down_the_slope_of_its_minimum(monkeypatch):
-    monkeypatch.setattr(foe, "LBFGS_ITERATIONS", 150)  # as near to the minimum as the slope is asked for
-    monkeypatch.setattr(foe, "BURSTS_PER_ITERATION", 3)
+def slopes(seed):
+    """The slope of the loss, by differences and by its gradient: how near depends on threads and processor."""
     torch.manual_seed(0)
-    network = Experts()
-    # Bursts that come near: of others how far depends on the threads and the processor.
-    training = FieldsOfExperts(np.random.default_rng(11))
+    network, training = Experts(), FieldsOfExperts(np.random.default_rng(seed))
     same = (copy.deepcopy(training.rng.bit_generator.state), training.noise.get_state())
 
     def loss():
@@ -125,8 +122,14 @@ def test_training_goes_down_the_slope_of_its_minimum(monkeypatch):
     network.costs.data += 0.05
     above = float(loss().detach())
     network.costs.data -= 0.1
-    below = float(loss().detach())
-    assert (above - below) / 0.1 == pytest.approx(float(slope.sum()), rel=0.1)
+    return (above - float(loss().detach())) / 0.1, float(slope.sum())
+
+
+def test_training_goes_down_the_slope_of_its_minimum(monkeypatch):
+    monkeypatch.setattr(foe, "LBFGS_ITERATIONS", 150)  # as near to the minimum as the slope is asked for
+    monkeypatch.setattr(foe, "BURSTS_PER_ITERATION", 3)
+    differences, gradients = np.transpose([slopes(seed) for seed in (10, 11, 12)])
+    assert np.median(np.abs(differences / gradients - 1)) < 0.1
 
 
 def test_nothing_is_learnt_from_pictures_that_bursts_are_judged_by(benchmarks):
