@@ -40,6 +40,13 @@ PATTERN_CLIP_SIGMAS = 4.0  # robust standard deviations of the pattern at which 
 MIN_PATTERN_CORRELATION = 0.1
 #: Least pattern, relative to the scene: less may be of a sensor that was corrected with a scene in view.
 MIN_PATTERN_CONTRAST = 0.2
+#: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
+MAX_DISTANCE_FROM_UNIFORM = 0.01
+MAX_SAMPLES = 40_000  # samples of all frames that suffice to find a shutter event
+MIN_SAMPLES_PER_FRAME = 200  # fewest samples of a frame
+BULK_FRACTION = 0.75  # fraction of the smallest differences that count: the others are edges of the scene
+#: Distance between two groups of frames relative to that within them from which their patterns differ.
+MIN_SEPARATION = 1.3
 
 
 @torch.no_grad()
@@ -199,15 +206,6 @@ def _neighbour_correlation(image: Tensor, good: Tensor) -> float:
     found = autocorrelation(*(each.cpu().numpy() for each in (image, image, good)))
     middle = len(found) // 2
     return float(found[middle, middle + PATTERN_DISTANCE] + found[middle + PATTERN_DISTANCE, middle]) / 2
-
-
-#: Largest distance of the cumulative histogram from a uniform one; 0.13 and more in frames that are not equalised.
-MAX_DISTANCE_FROM_UNIFORM = 0.01
-MAX_SAMPLES = 40_000  # samples of all frames that suffice to find a shutter event
-MIN_SAMPLES_PER_FRAME = 200  # fewest samples of a frame
-BULK_FRACTION = 0.75  # fraction of the smallest differences that count: the others are edges of the scene
-#: Distance between two groups of frames relative to that within them from which their patterns differ.
-MIN_SEPARATION = 1.3
 
 
 def is_equalised(frames: Array) -> bool:

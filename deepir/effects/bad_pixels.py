@@ -19,7 +19,7 @@ from deepir.arrays.samples import ISOLATION, MAD_TO_SIGMA
 from deepir.arrays.statistics import subsample
 from deepir.arrays.windows import DEFAULT_WINDOW, box_sum, median_filter
 from deepir.effects.effect import Effect, InitialEstimate
-from deepir.estimation.variance_components import temporal_mean
+from deepir.estimation.residuals import temporal_mean
 from deepir.messages import Message
 from deepir.registry import register
 

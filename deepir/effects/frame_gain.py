@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deepir.effects.effect import Effect, Rounds
 from deepir.estimation.low_order_evidence import GainOffsetEvidence, frame_level_offsets
-from deepir.estimation.variance_components import fixed_pattern_residual, temporal_mean
+from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.fields.drift import Drift
 from deepir.messages import Message
 from deepir.problem import Problem

@@ -11,7 +11,7 @@ from torch import Tensor
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.arrays.statistics import masked_values, median, median_sigma
 from deepir.effects.effect import Effect, Rounds
-from deepir.estimation.variance_components import has_line_noise, line_noise_fields
+from deepir.estimation.residuals import has_line_noise, line_noise_fields
 from deepir.fields.line_noise import LineNoise
 from deepir.messages import Message
 from deepir.problem import Problem

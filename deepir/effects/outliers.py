@@ -9,7 +9,7 @@ from torch import Tensor
 
 from deepir.arrays.windows import fill_pull_push
 from deepir.effects.effect import Effect, InitialEstimate
-from deepir.estimation.variance_components import down_weight_outliers
+from deepir.estimation.residuals import down_weight_outliers
 from deepir.optim.preconditioner import MIN_FRAMES_SEEN
 from deepir.problem import Problem
 from deepir.registry import register

@@ -13,7 +13,7 @@ from deepir.arrays import Array
 from deepir.arrays.statistics import robust_std
 from deepir.effects.bad_pixels import DEAD_DEVIATION
 from deepir.effects.effect import Effect, InitialEstimate
-from deepir.estimation.variance_components import fixed_pattern_residual, temporal_mean
+from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.messages import Message
 from deepir.problem import Problem
 from deepir.registry import register

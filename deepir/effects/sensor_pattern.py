@@ -19,14 +19,8 @@ from torch import Tensor
 from deepir.arrays.samples import pattern_outliers
 from deepir.arrays.statistics import masked_values, robust_std, subsample
 from deepir.effects.effect import Effect, InitialEstimate
-from deepir.estimation.variance_components import (
-    MAX_SIGMA_RATIO,
-    estimate_sigmas,
-    high_pass,
-    line_noise_fields,
-    reference_level_nats,
-    temporal_mean,
-)
+from deepir.estimation.residuals import line_noise_fields, temporal_mean
+from deepir.estimation.variance_components import MAX_SIGMA_RATIO, estimate_sigmas, high_pass, reference_level_nats
 from deepir.fields.sensor_maps import GaussianMap
 from deepir.fields.shading import Shading
 from deepir.operators import Sensor

@@ -9,7 +9,7 @@ import torch
 
 from deepir.effects.effect import Effect, Rounds
 from deepir.estimation.low_order_evidence import GainOffsetEvidence, LowOrderEvidence, contrast
-from deepir.estimation.variance_components import has_line_noise
+from deepir.estimation.residuals import has_line_noise
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import Drift
 from deepir.fields.shading import Shading

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from deepir.arrays.statistics import masked_values, median, subsample
 from deepir.closed_form.variable_projection import COLUMN, PIXEL, ROW
-from deepir.estimation.variance_components import has_line_noise, line_noise_fields
+from deepir.estimation.residuals import has_line_noise, line_noise_fields
 from deepir.fields.base import Field
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.drift import WALK_SIGMA_RATIO, Drift

@@ -41,6 +41,8 @@ MIN_RELATIVE_VARIANCE = 0.3  # of a sample, relative to the median: an offset is
 PROBLEMS = ("nuc", "generic")  # problems that take several bands
 #: What each band has by itself; the motion and the frames that are used are those of all.
 OWN = ("scene", "gain", "offset", "level", "bad_pixels")
+LANDWEBER_ITERATIONS = 30
+JOINT_TOLERANCE = 0.03  # nats per scene pixel that ten iterations gain, where the sensor follows the scene
 
 
 def make_recipe(config: Config) -> Recipe:
@@ -209,10 +211,6 @@ def _stacked(results: list[Result], lead: int) -> Result:
     for name in OWN:
         setattr(whole, name, np.stack([getattr(each, name) for each in results]))
     return whole
-
-
-LANDWEBER_ITERATIONS = 30
-JOINT_TOLERANCE = 0.03  # nats per scene pixel that ten iterations gain, where the sensor follows the scene
 
 
 class PriorRefinement:

@@ -11,7 +11,7 @@ from deepir.arrays.statistics import median_sigma, robust_std
 from deepir.arrays.windows import fill_nearest
 from deepir.effects.bad_pixels import STATIC_PROBABILITY, static_pixels
 from deepir.effects.effect import Effect, InitialEstimate
-from deepir.estimation.variance_components import fixed_pattern_residual, temporal_mean
+from deepir.estimation.residuals import fixed_pattern_residual, temporal_mean
 from deepir.metrics import RegisteredAverage
 from deepir.optim.low_order_model import polynomials
 from deepir.problem import Problem

@@ -16,7 +16,7 @@ from deepir.effects.sensor_pattern import start_parts
 from deepir.effects.shading import estimate_low_order, stray_flux_fields
 from deepir.errors import ConfigError
 from deepir.estimation.prior_weight import weigh_scene
-from deepir.estimation.variance_components import down_weight_outliers, fixed_pattern_residual
+from deepir.estimation.residuals import down_weight_outliers, fixed_pattern_residual
 from deepir.fields.basis_expansion import BasisExpansion
 from deepir.fields.constant import Constant
 from deepir.messages import Message

@@ -31,7 +31,7 @@ from deepir.recording.defective_pixels import (
     rounding_deviation,
 )
 from deepir.recording.displaced import fine_part, low_order_part, solve_low_order
-from deepir.recording.joint_solve import SensorSolution, solve_sensor
+from deepir.recording.joint_solve import MAX_MOTION_ERROR, SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes, spread
 
 FINE_OFFSET = "fine offset"  # what is corrected where the shading stays
@@ -202,8 +202,10 @@ def _of_registered(
         turns = best is not None and best[1].registers
         best = _solved(short_bursts(small, known, keyframes.stretches, start, gains_differ=gains_differ), small, known)
         if best is None or not best[1].is_determined:
-            return _fine_offset(samples, former) if turns else None
+            return _fine_offset(samples, fine_part(*samples.halves), former) if turns else None
     found, solution = best
+    if solution.motion_error > MAX_MOTION_ERROR:  # at rest, all of the scene may pass for the pattern
+        _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
     numbers, bursts = found.numbers, found.bursts
     moving = [burst.moving_share(np.subtract(*burst.compared(solution.offset, solution.gain))) for burst in bursts]
     if factor > 1:
@@ -267,13 +269,12 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     start = _averaged(whole, ~samples.bad[None], factor)[0][0]
     low = solve_low_order(small, keyframes.neighbours, start)
     if low is None:
-        return _fine_offset(samples, former)
+        return _fine_offset(samples, offset, former)
     return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
 
 
-def _fine_offset(samples: _Samples, former: CorrectionMaps | None) -> SensorEstimate:
-    """The fine part, of a pattern whose shading the frames do not tell: that of former maps stays."""
-    offset = fine_part(*samples.halves)
+def _fine_offset(samples: _Samples, offset: Array, former: CorrectionMaps | None) -> SensorEstimate:
+    """The fine part (h, w), of a pattern whose shading the frames do not tell: that of former maps stays."""
     if former is not None:
         offset = offset + low_order_part(former.offset + (former.gain - 1) * samples.level)
         return _estimate(samples, SensorSolution.of_offset(offset), "offset")

@@ -54,10 +54,9 @@ class SensorSolution:
         gain: (h, w), around one.
         deviation: (h, w), posterior standard deviation of the offset; None where it is not known.
         low_order: part of long periods of the offset, and its posterior variance, (h, w) each.
-        uncertainty: posterior standard deviation of the part of long periods that is determined, relative to that part.
+        uncertainty: posterior standard deviation of the part of long periods, relative to it; inf if most is open.
         motion_error: of the frames, px; inf where they do not register.
         inflation: variance of the misfit at the scale where it is largest, relative to the samples' noise.
-        told: share of the modes of long periods that the motion tells.
         noise: of a sample, frames' units; NaN where it is not known.
     """
 
@@ -68,7 +67,6 @@ class SensorSolution:
     uncertainty: float
     motion_error: float
     inflation: float
-    told: float
     noise: float
 
     @property
@@ -79,13 +77,13 @@ class SensorSolution:
     @property
     def is_determined(self) -> bool:
         """Whether stretches register, and tell the part of long periods."""
-        return self.motion_error <= MAX_MOTION_ERROR and self.uncertainty <= MAX_UNCERTAINTY and self.told > 0.5
+        return self.motion_error <= MAX_MOTION_ERROR and self.uncertainty <= MAX_UNCERTAINTY
 
     @classmethod
     def of_offset(cls, offset: Array) -> SensorSolution:
         """An offset whose deviation is not known."""
         low_order = offset, np.zeros_like(offset)
-        return cls(offset, np.ones_like(offset), None, low_order, np.inf, np.inf, np.inf, 0.0, np.nan)
+        return cls(offset, np.ones_like(offset), None, low_order, np.inf, np.inf, np.inf, np.nan)
 
 
 def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
@@ -127,9 +125,13 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
     left = np.where(told, 0.0, broad + (dct(start) - dct(offset)) ** 2)  # what may be the scene's, or not
-    uncertainty = 0.0
+    uncertainty = np.inf
     if not low_order:
-        uncertainty = float(np.trace(covariance) ** 0.5 / max(np.linalg.norm(modes.analyse(offset)), 1e-30))
+        uncertainty = (
+            float(np.trace(covariance) ** 0.5 / max(np.linalg.norm(modes.analyse(offset)), 1e-30))
+            if told[modes.low].mean() > 0.5
+            else np.inf
+        )
         covariance = covariance + np.diag(modes.variances(left))
         low_order = modes.synthesise(modes.analyse(offset)), _variance(modes, covariance, size)
     fine_variance = (np.where(told, posterior, 0.0) + left)[fine].sum() / posterior.size + extrapolated
@@ -142,7 +144,6 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         uncertainty,
         float(np.mean([burst.motion_error for burst in bursts])),
         inflation,
-        float(told[modes.low].mean()),
         float(np.mean([burst.noise for burst in bursts])),
     )
 

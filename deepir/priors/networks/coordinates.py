@@ -13,6 +13,8 @@ from deepir.fields.base import Shape, check_counts, check_positive
 from deepir.priors.networks.base import Network
 from deepir.registry import register
 
+INITIAL_FEATURE_SIGMA = 1e-2  # initial standard deviation of the features
+
 
 class Coordinates(Network):
     """Implicit representation `net((x, y)) -> values`, with coordinates from -1 to 1 along the longer side.
@@ -200,9 +202,6 @@ class Fourier(Coordinates):
         last = nn.Linear(width, shape[0])
         self.begin_at_start(last)
         self.net = nn.Sequential(*layers, last)
-
-
-INITIAL_FEATURE_SIGMA = 1e-2  # initial standard deviation of the features
 
 
 @register("field", "grid")
