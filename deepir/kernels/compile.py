@@ -5,9 +5,9 @@ from __future__ import annotations
 import functools
 import itertools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numba import njit
@@ -16,6 +16,9 @@ from deepir.kernels import ahead
 
 if TYPE_CHECKING:
     from torch import Tensor
+
+T = TypeVar("T")
+Found = TypeVar("Found")
 
 
 class _Cache:
@@ -64,15 +67,30 @@ def parallel_for(loop: Callable[..., object], count: int, *arguments: Tensor | n
     On threads of Python's own, which sleep until they are needed. Of numba's, one pool does not outlive a fork, and
     the other takes the process down when two threads use it at once.
     """
+    from deepir.kernels.threads import alone
     from deepir.kernels.threads import count as available
 
     arrays = [each if isinstance(each, np.ndarray | float | int) else each.numpy() for each in arguments]
     threads = min(available(), max(count, 1))
     mine, *others = itertools.pairwise(count * i // threads for i in range(threads + 1))
-    waiting = [_pool(os.getpid()).submit(loop, *part, *arrays) for part in others]
-    loop(*mine, *arrays)
+    waiting = [_pool(os.getpid()).submit(alone, loop, *part, *arrays) for part in others]
+    if waiting:
+        alone(loop, *mine, *arrays)
+    else:
+        loop(*mine, *arrays)
     for each in waiting:
         each.result()
+
+
+def parallel_map(function: Callable[[T], Found], items: Sequence[T]) -> list[Found]:
+    """`function` of each item, on as many threads as there are."""
+    found: dict[int, Found] = {}
+
+    def part(first: int, last: int) -> None:
+        found.update((k, function(items[k])) for k in range(first, last))
+
+    parallel_for(part, len(items))
+    return [found[k] for k in range(len(items))]
 
 
 @functools.cache

@@ -2,7 +2,7 @@
 
 To wake a thread takes as long as a small burst's loops do. Torch's operations on a burst are short too, and its threads
 wait for each other after every one: on a busy machine, or with as many threads as a processor has hyperthreads, an
-estimate takes several times as long. So only layers of networks have torch's threads.
+estimate takes several times as long. So only layers of networks have torch's threads, and no product has BLAS's.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextvars import ContextVar
 from typing import TYPE_CHECKING
+
+from threadpoolctl import threadpool_limits
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -43,13 +45,22 @@ def count() -> int:
     return _given.get() or available()
 
 
+def alone(loop: Callable[..., object], *arguments: object) -> None:
+    """Call a loop, whose own loops do not share their work with other threads."""
+    token = _given.set(1)
+    try:
+        loop(*arguments)
+    finally:
+        _given.reset(token)
+
+
 @contextlib.contextmanager
 def for_samples(samples: int, max_threads: int | None = None) -> Iterator[None]:
     """Context with threads for a number of samples: one, or `max_threads` (None: `available`) for many samples."""
     number = (max_threads or count()) if samples >= MIN_PARALLEL_SAMPLES else 1
     token = _given.set(number)
     try:
-        with _threads_of_torch(1):
+        with _threads_of_torch(1), threadpool_limits(1, "blas"):
             yield
     finally:
         _given.reset(token)

@@ -70,7 +70,7 @@ def low_order_pattern(frames: Array, usable: Array) -> Array | None:
     pairs = [(k, k + gap) for gap in GAPS for k in range(len(frames) - gap)]
     grid, total = _Grid(coarse.shape[1:]), np.zeros(coarse.shape[1:])
     for round_ in range(ROUNDS):
-        found = list(displacements(coarse - total, pairs))
+        found = displacements(coarse - total, pairs)
         if round_ == 0 and not _related(coarse, found):
             return None
         total += grid.fitted(coarse - total, found)

@@ -48,7 +48,7 @@ def gradient_consensus(frames: Array, usable: Array) -> Array:
     """
     level = np.float32(np.nanmedian(frames[:, ::4, ::4]))
     frames = np.ascontiguousarray(np.where(usable, frames, level), np.float32)
-    good = np.ascontiguousarray(usable, np.uint8)
+    good = np.ascontiguousarray(usable, bool).view(np.uint8)
     variances = _gradient_variances(frames)
     gradients, weights = [], []
     for down, right in ((1, 0), (0, 1)):

@@ -11,6 +11,7 @@ import numpy as np
 from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN, MAD_TO_SIGMA, block_sums
 from deepir.errors import DataError
+from deepir.kernels.compile import parallel_map
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.alignment import (
     REFINE_SIGMA,
@@ -257,7 +258,7 @@ def _frames_alike(frames: Array, around: int, pattern: Array) -> tuple[Array, Ar
     step = -(-len(frames) // CANDIDATES)
     numbers, size = np.arange(around % step, len(frames), step), frames.shape[1:]
     reference = around // step
-    links = Links.of([Spectrum.of(frames[k] - pattern) for k in numbers], reference)
+    links = Links.of(parallel_map(lambda k: Spectrum.of(frames[k] - pattern), numbers.tolist()), reference)
     motion = links.motion(0.0, max(size) / 2)
     stays = changes(frames[numbers], [(k, reference) for k in range(len(numbers))], pattern) < REST_SIGMAS
     if stays.mean() > 0.5:
@@ -328,21 +329,23 @@ def short_bursts(
         start: (h, w), a pattern that is taken off before frames are compared.
         gains_differ: whether an automatic gain control may change the frames' gains.
     """
-    bursts, kept, half = list[Burst](), list[Array](), max(frames.shape[1:]) / 2
-    for stretch in stretches:
+    half = max(frames.shape[1:]) / 2
+
+    def burst(stretch: Array) -> tuple[Burst, Array] | None:
         middle = len(stretch) // 2
         try:
             found = _frames_alike(frames[stretch], middle, start.astype(np.float32))
         except CameraAtRestError:
-            found = None
+            return None
         if found is None:
-            continue
+            return None
         numbers, chosen, links = found
         reference, motion = int(np.searchsorted(numbers[chosen], middle)), links.motion(0.0, half)[chosen]
         numbers = stretch[numbers[chosen]]
-        bursts.append(Burst(frames[numbers], usable[numbers], motion, reference, gains_differ=gains_differ))
-        kept.append(numbers)
-    return Bursts(bursts, kept) if len(bursts) > 1 else None
+        return Burst(frames[numbers], usable[numbers], motion, reference, gains_differ=gains_differ), numbers
+
+    found = [each for each in parallel_map(burst, stretches) if each is not None]
+    return Bursts(*map(list, zip(*found, strict=True))) if len(found) > 1 else None
 
 
 def changes(frames: Array, pairs: Sequence[tuple[int, int]], pattern: Array) -> Array:

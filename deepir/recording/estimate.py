@@ -19,6 +19,7 @@ from deepir.arrays.samples import CHI_SQUARED_MEDIAN, block_means, block_sums
 from deepir.calibration import CorrectionMaps
 from deepir.errors import DataError
 from deepir.io.inspection.samples import saturated_samples
+from deepir.kernels.compile import parallel_map
 from deepir.messages import Message
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.multiview.texture_flow import coarsening, enlarged
@@ -31,14 +32,11 @@ from deepir.recording.defective_pixels import (
     rounding_deviation,
 )
 from deepir.recording.displaced import fine_part, low_order_part, solve_low_order
-from deepir.recording.joint_solve import MAX_MOTION_ERROR, SensorSolution, solve_sensor
+from deepir.recording.joint_solve import MAX_INFLATION, MAX_MOTION_ERROR, SensorSolution, solve_sensor
 from deepir.recording.keyframes import Keyframes, spread
 
 FINE_OFFSET = "fine offset"  # what is corrected where the shading stays
 SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
-#: Variance of the misfit at its largest scale, in that of the samples, up to which frames register as a whole: 1.0 to
-#: 1.1 hand-held (bench, seeds 0 and 1), 3 to 10 in pans among near things, 12 to 28 in walks.
-MAX_INFLATION = 5.0
 #: Long periods of the frames' mean without the offset, relative to those with it, from which the offset is the scenes':
 #: both would cancel by a correlation of -0.64. Hand-held and under gain control 0.15 to 1.08, small drives 1.5 to 3.
 MAX_CANCELLATION = 1.3
@@ -119,7 +117,8 @@ class _Samples:
         usable = _unsaturated(frames)
         thin = np.s_[:, ::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
         level = float(np.median(frames[thin][usable[thin]])) if usable[thin].any() else 0.0
-        frames = np.where(usable, frames, np.float32(level)) - np.float32(level)
+        frames = np.where(usable, frames, np.float32(level))
+        frames -= np.float32(level)
         early, late = np.s_[: len(frames) // 2], np.s_[len(frames) // 2 :]
         halves = gradient_consensus(frames[early], usable[early]), gradient_consensus(frames[late], usable[late])
         rounding = rounding_deviation(keyframes.frames[0])
@@ -189,13 +188,13 @@ def _of_registered(
     samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None, jumps: Sequence[int]
 ) -> SensorEstimate | None:
     """The sensor by frames that register; None where too few do, or do not fit."""
-    frames, usable, recorded = samples.filled, samples.known, samples.frames
-    gains_differ, size = keyframes.eight_bits, frames.shape[1:]
+    frames, usable, gains_differ = samples.filled, samples.known, keyframes.eight_bits
+    size, contrasts = frames.shape[1:], np.ones((len(frames), 1, 1), np.float32)
     if gains_differ:
-        contrasts = _contrasts(frames)
-        frames, recorded = (each / contrasts[:, None, None] for each in (frames, recorded))
+        contrasts[:, 0, 0] = _contrasts(frames)
     factor = coarsening(size)
     small, known = _averaged(frames, usable, factor)
+    small = small / contrasts
     start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
     best = _solved(find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ), small, known)
     if best is None or not _holds(*best, small.mean(0)):
@@ -209,12 +208,14 @@ def _of_registered(
     numbers, bursts = found.numbers, found.bursts
     moving = [burst.moving_share(np.subtract(*burst.compared(solution.offset, solution.gain))) for burst in bursts]
     if factor > 1:
-        bursts = [burst.enlarged(frames[k], usable[k], factor) for burst, k in zip(bursts, found.frames, strict=True)]
+        whole = [(frames[k] / contrasts[k], usable[k]) for k in found.frames]
+        bursts = [burst.enlarged(*each, factor) for burst, each in zip(bursts, whole, strict=True)]
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
-        solution = solve_sensor(bursts, gradient_consensus(frames[numbers], usable[numbers]), (mean, variance))
+        start = gradient_consensus(np.concatenate([burst.frames for burst in bursts]), usable[numbers])
+        solution = solve_sensor(bursts, start, (mean, variance))
     expected = np.concatenate([burst.compared(solution.offset, solution.gain)[1] for burst in bursts])
     for burst, k in zip(bursts, found.frames, strict=True):
-        burst.frames = recorded[k]  # with what bad pixels show
+        burst.frames = samples.frames[k] / contrasts[k]  # with what bad pixels show
     shown = np.concatenate([burst.corrected(solution.offset, solution.gain) for burst in bursts])
     shown = np.where(samples.usable[numbers], shown, expected)
     places, gains = keyframes.numbers[numbers], np.concatenate([burst.gains for burst in bursts])
@@ -224,7 +225,7 @@ def _of_registered(
         "gain and offset",
         (shown, expected),
         messages=tuple(_messages(np.any([burst.tells for burst in bursts], axis=0), float(np.mean(moving)))),
-        contrasts=(places, gains * contrasts[numbers]) if gains_differ else None,
+        contrasts=(places, gains * contrasts[numbers, 0, 0]) if gains_differ else None,
         jumps=tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
     )
 
@@ -255,7 +256,7 @@ def _cancel(mean: Array, offset: Array) -> bool:
 
 def _contrasts(frames: Array) -> Array:
     """Relative gains (N,) of frames, by their finest detail, which is mostly the sensor's; float32."""
-    found = np.array([noise_deviation(frame[None]) for frame in frames])
+    found = np.array(parallel_map(lambda frame: noise_deviation(frame[None]), list(frames)))
     return np.asarray(found / np.exp(np.log(found).mean()), np.float32)
 
 

@@ -18,6 +18,7 @@ from scipy import linalg
 
 from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
+from deepir.kernels.compile import parallel_map
 from deepir.recording.burst import Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
 
@@ -39,6 +40,9 @@ GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to sta
 #: px, error of the motion, and variance of the misfit in that of the samples, up to which frames register but for near
 #: things: walks of stretches 0.09 to 0.25, pans and flights up to 0.28 and 34, drives 0.3 to 1.6 or 43 and more.
 MAX_MOTION_ERROR, MAX_MISFIT = 0.3, 40.0
+#: Variance of the misfit up to which frames register as a whole: 1.0 to 1.1 hand-held (bench, seeds 0 and 1), 3 to 10
+#: in pans among near things, 12 to 28 in walks.
+MAX_INFLATION = 5.0
 #: Of stretches: misfit from which they will not register (after a round 53 to 209, drives from 383), and deviation of
 #: the part of long periods, relative to it, up to which it counts (right 0.01 to 0.16, worse than raw from 0.3).
 HOPELESS_MISFIT, MAX_UNCERTAINTY = 300.0, 0.25
@@ -72,7 +76,7 @@ class SensorSolution:
     @property
     def registers(self) -> bool:
         """Whether frames register but for near things."""
-        return self.motion_error <= MAX_MOTION_ERROR and self.inflation <= MAX_MISFIT
+        return _registers(self.inflation, self.motion_error)
 
     @property
     def is_determined(self) -> bool:
@@ -103,9 +107,12 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
     fine[0, 0] = False
     broad = prior.start
     for number in range(ROUNDS - 1 if low_order else 0, ROUNDS):
-        for burst in bursts:
+
+        def prepare(burst: Burst, offset: Array = offset, gain: Array = gain, number: int = number) -> None:
             burst.align(offset, gain, FREE_MOTION[number])
             burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
+
+        parallel_map(prepare, bursts)
         told, found = np.any([burst.tells for burst in bursts], axis=0), dct(offset)
         prior.start = np.where(told, broad, broad[0, 0])
         of_sensor = np.minimum(1, broad / np.maximum(group_power(found, prior.groups), 1e-30))
@@ -119,8 +126,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         offset = _fine_steps(bursts, offset, gain, prior, information, trusted)
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
-        inflation = float(np.mean([burst.inflation for burst in bursts]))
-        if len(bursts) > 1 and inflation > HOPELESS_MISFIT:
+        inflation, motion_error = np.mean([(burst.inflation, burst.motion_error) for burst in bursts], axis=0).tolist()
+        if _is_hopeless(inflation, motion_error, len(bursts), number):
             return SensorSolution.of_offset(offset)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
@@ -142,10 +149,21 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         deviation,
         low_order,
         uncertainty,
-        float(np.mean([burst.motion_error for burst in bursts])),
+        motion_error,
         inflation,
         float(np.mean([burst.noise for burst in bursts])),
     )
+
+
+def _registers(inflation: float, motion_error: float) -> bool:
+    return motion_error <= MAX_MOTION_ERROR and inflation <= MAX_MISFIT
+
+
+def _is_hopeless(inflation: float, motion_error: float, bursts: int, number: int) -> bool:
+    """Whether frames will not register, by what a round leaves: stretches by the first, one burst by the second."""
+    if bursts > 1:
+        return inflation > HOPELESS_MISFIT
+    return number > 0 and inflation > MAX_INFLATION and not _registers(inflation, motion_error)
 
 
 def low_order_step(
@@ -162,20 +180,22 @@ def low_order_step(
     Returns:
         The change (h, w), and the posterior covariance (K, K) of the coefficients of the modes.
     """
-    systems = [burst.equations(modes, offset, gain) for burst in bursts]
+    systems = parallel_map(lambda burst: burst.equations(modes, offset, gain), bursts)
     before = modes.analyse(offset)
     for burst in bursts:
         burst.inflation, burst.level_variance = 1.0, max(burst.level_variances)
     free = _fit(bursts, systems, prior, modes, before)  # the misfit that is left with free levels
     for burst, system, own in zip(bursts, systems, free.reduced, strict=True):
         burst.inflation = system.inflation(np.concatenate([free.change, own.of(free.change)]))
-    for k, burst in enumerate(bursts):
-        if len(burst.level_variances) > 1:
-            evidence = []
-            for variance in burst.level_variances:
-                burst.level_variance = variance
-                evidence.append(_fit([burst], systems[k : k + 1], prior, modes, before).evidence)
-            burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
+
+    def set_level_variance(burst: Burst | DisplacedFrames) -> None:
+        system, evidence = systems[bursts.index(burst)], []
+        for variance in burst.level_variances:
+            burst.level_variance = variance
+            evidence.append(_fit([burst], [system], prior, modes, before, free.variance).evidence)
+        burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
+
+    parallel_map(set_level_variance, [burst for burst in bursts if len(burst.level_variances) > 1])
     best = _fit(bursts, systems, prior, modes, before)
     if len(bursts) > 1 and all(burst.independent for burst in bursts):
         disagreement = _disagreement(best)
@@ -209,20 +229,23 @@ def _fit(
     prior: PatternPrior,
     modes: LowOrderModes,
     before: Array,
+    variance: Array | None = None,
 ) -> _Fit:
-    """Expectation maximisation of the variances, from a broad prior; the evidence is up to a constant."""
+    """The modes under given variances (K,), or those of expectation maximisation; the evidence is up to a constant."""
     reduced = [_nuisance(burst, system, modes) for burst, system in zip(bursts, systems, strict=True)]
     data = sum(each.matrix for each in reduced)
     own = sum(each.score for each in reduced)
     score = own + data @ before
     count = int(modes.low.sum())
-    open_modes = prior.start == prior.start[0, 0]
-    variance = modes.variances(np.where(modes.low | open_modes, prior.start, prior.variance))
-    for number in range(UPDATES):
+    updates = UPDATES if variance is None else 1
+    if variance is None:
+        open_modes = prior.start == prior.start[0, 0]
+        variance = modes.variances(np.where(modes.low | open_modes, prior.start, prior.variance))
+    for number in range(updates):
         matrix = data + np.diag(1 / variance)
         covariance = np.linalg.inv(matrix)
         mean = covariance @ score
-        if number < UPDATES - 1:
+        if number < updates - 1:
             spread = modes.on_modes(np.diag(covariance))
             variance[:count] = prior.strengths(modes.on_modes(mean), spread, modes.low)
     evidence = 0.5 * (score @ mean + np.linalg.slogdet(covariance)[1] - np.log(variance).sum())
@@ -320,7 +343,7 @@ def _fine_steps(
 
     def data(frames: Iterable[Array]) -> Array:
         shown = zip(bursts, trusted, frames, strict=True)
-        return np.asarray(sum(share * dct(burst.score(each) / gain) for burst, share, each in shown))
+        return np.sum(parallel_map(lambda each: each[1] * dct(each[0].score(each[2]) / gain), list(shown)), axis=0)
 
     def normal(modes: Array) -> Array:
         frames = (idct(modes) / gain).astype(np.float32)[None]
