@@ -12,6 +12,7 @@ setup: .venv/.done  ## make .venv with the tested versions
 	@echo "deepir and its tools are installed into .venv; this takes some minutes, once"
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --constraint constraints.txt --editable '.[dev,compare,docs,hdf5,video,live]'
+	$(BIN)/python -c "from deepir.kernels import ahead; ahead.compile_everything()"
 	@touch $@
 
 demo: setup  ## correct a simulated burst; results and pictures in runs/demo/

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from fractions import Fraction
@@ -70,8 +71,8 @@ class Downsample(Operator):
         size, area = self.out_shape(x.shape, x.shape[0])[-2:], math.prod(self.factor)
         if self._whole:
             down, across = self.factor
-            sums = x.unflatten(-2, (-1, down)).sum(-2).unflatten(-1, (-1, across)).sum(-1)
-            return sums / area  # an axis at a time: both at once take twice as long
+            rows = functools.reduce(torch.add, x.unflatten(-2, (-1, down)).unbind(-2))  # half the time of `sum`
+            return rows.unflatten(-1, (-1, across)).sum(-1) / area
         rows, columns = (_parts(*each).to(x) for each in zip(size, self.factor, strict=True))
         return rows @ x @ columns.mT / area
 
