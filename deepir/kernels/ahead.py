@@ -43,7 +43,8 @@ def wait_for(name: str) -> bool:
             log.warning("compiling kernels for this machine, once: 5 to 15 s")
         lines = [each for each in lines if _name(each) not in done]
         done.update((_name(each), threading.Event()) for each in lines)
-        _start(lines, done)
+        for share in _shares(lines, min(max(os.cpu_count() or 1, 2), MAX_PROCESSES)):
+            threading.Thread(target=_compile_beside, args=(share, done), daemon=True).start()
     return name in done and done[name].wait()
 
 
@@ -63,23 +64,14 @@ def compile_all(lines: Iterable[str]) -> None:
 
 def compile_everything() -> None:
     """Compile the kernels of all lists, so that the first run does not wait."""
-    lines = list(dict.fromkeys(filter(None, SIGNATURES.read_text(encoding="utf-8").splitlines())))
-    done = {_name(each): threading.Event() for each in lines}
-    _start(lines, done)
-    for each in done.values():
-        each.wait()
+    for line in filter(None, SIGNATURES.read_text(encoding="utf-8").splitlines()):
+        wait_for(_name(line))
 
 
 @functools.cache
 def _done(process: int) -> dict[str, threading.Event]:
     """Kernels that are compiled beside this process, and whether each is in the cache; a fork begins anew."""
     return {}
-
-
-def _start(lines: list[str], done: dict[str, threading.Event]) -> None:
-    """Start processes that compile, and threads that note what they did."""
-    for share in _shares(lines, min(max(os.cpu_count() or 1, 2), MAX_PROCESSES)):
-        threading.Thread(target=_compile_beside, args=(share, done), daemon=True).start()
 
 
 def _compile_beside(lines: list[str], done: dict[str, threading.Event]) -> None:

@@ -20,7 +20,7 @@ from scipy import fft, ndimage
 from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA
 from deepir.kernels import bspline
-from deepir.kernels.compile import parallel_for
+from deepir.kernels.compile import parallel_for, parallel_map
 
 BORDER = 3  # px at a frame's edge that are not spread onto the canvas: the spline there would need samples beyond
 MIN_SEEN = 0.99  # of the spline's weight that lies on known canvas, so that a sample counts as predicted
@@ -135,12 +135,7 @@ def smoothed(images: Array, sigma: float) -> Array:
 
 def _on_each(function: Callable[..., Array], images: Array) -> Array:
     out = np.empty(images.shape, np.float32)
-
-    def part(first: int, last: int) -> None:
-        for image, into in zip(images[first:last], out[first:last], strict=True):
-            function(image, output=into)
-
-    parallel_for(part, len(images))
+    parallel_map(lambda k: function(images[k], output=out[k]), range(len(images)))
     return out
 
 

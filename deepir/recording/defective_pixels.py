@@ -6,7 +6,7 @@ import numpy as np
 
 from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA, mixed_deviation
-from deepir.kernels.compile import parallel_for
+from deepir.kernels.compile import parallel_for, parallel_map
 from deepir.kernels.median_filter import median_filter
 
 FRAMES_OF_NOISE = 8  # that the noise is measured in
@@ -62,4 +62,4 @@ def _median(frames: Array) -> Array:
 
 def of_neighbours(frames: Array) -> Array:
     """Median of each sample and its neighbours, (N, h, w)."""
-    return np.stack([median_filter(frame, 3) for frame in frames])
+    return np.stack(parallel_map(lambda frame: median_filter(frame, 3), list(frames)))
