@@ -11,6 +11,8 @@ from deepir.closed_form.conjugate_gradient import conjugate_gradient
 from deepir.kernels import run
 from deepir.kernels.threads import is_compiled
 
+Pair = tuple[Tensor, Tensor]
+
 TOLERANCE = 1e-12  # relative residual at which conjugate gradients stop
 MAX_ITERATIONS = 200  # most iterations of conjugate gradients
 #: Prior standard deviation of lines relative to that of pixels up to which the system is stored in float32: its
@@ -74,13 +76,10 @@ class _SensorLeastSquares(torch.autograd.Function):
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, ...]:
-        gradient, level_gradient = (_times(upstream, each) for each in ctx.saved_tensors)
+        # Upstream is one, mostly, and a pass over the frames is saved.
+        scaled = ctx.saved_tensors if upstream == 1 else [upstream.to(each) * each for each in ctx.saved_tensors]
+        gradient, level_gradient = scaled
         return gradient, None, None, None, None, level_gradient, None, None, None
-
-
-def _times(upstream: Tensor, gradient: Tensor) -> Tensor:
-    """Product with the upstream gradient, a scalar; if that is one, as mostly, a pass over the frames is saved."""
-    return gradient if upstream == 1 else upstream.to(gradient) * gradient
 
 
 def gradient_and_loss(prediction: Tensor, data: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
@@ -206,14 +205,7 @@ class PixelEquations:
             max_iterations=MAX_ITERATIONS,
         )
 
-    def back_substitute(
-        self,
-        columns: Tensor,
-        smooth: tuple[Tensor, Tensor],
-        weights: Tensor,
-        neutral: Tensor,
-        white: tuple[Tensor, Tensor],
-    ) -> tuple[Tensor, Tensor]:
+    def back_substitute(self, columns: Tensor, smooth: Pair, weights: Tensor, neutral: Tensor, white: Pair) -> Pair:
         """Set the `white` values of the pixels for values of the columns and of what is `smooth`.
 
         The latter is in each row the combination (2, h, n) of functions of x, (n, w). Returns the right-hand side that
@@ -270,14 +262,7 @@ class PixelEquationsCPU(PixelEquations):
         run("normal_equations.solve", 1, *system, tolerance, MAX_ITERATIONS, x)
         return x
 
-    def back_substitute(
-        self,
-        columns: Tensor,
-        smooth: tuple[Tensor, Tensor],
-        weights: Tensor,
-        neutral: Tensor,
-        white: tuple[Tensor, Tensor],
-    ) -> tuple[Tensor, Tensor]:
+    def back_substitute(self, columns: Tensor, smooth: Pair, weights: Tensor, neutral: Tensor, white: Pair) -> Pair:
         """See `PixelEquations`."""
         errors = torch.empty_like(self.row_sums[3:])
         values = torch.empty_like(self.maps[3:], dtype=self.dtype)

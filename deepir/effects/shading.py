@@ -169,8 +169,11 @@ class Vignetting(Effect):
             rounds.update(problem)
             self.estimate(problem)
 
+        def needed(problem: Problem) -> bool:
+            return bool(self.unknown(problem)) and self._most_likely(problem) is not None
+
         last = schedule("sensor 3")
-        return schedule.before("scene", replace(last, name="shaded gain", prepare=prepare, needed=self.is_present))
+        return schedule.before("scene", replace(last, name="shaded gain", prepare=prepare, needed=needed))
 
     def unknown(self, problem: Problem) -> list[Shading]:
         """Shadings of the gain whose standard deviation is to be found; none where too little separates them."""
@@ -182,10 +185,6 @@ class Vignetting(Effect):
             return []  # the offsets that are seen are a selection
         parts = problem.fields[problem.gain_and_offset()[0]].parts()
         return [part for part in parts if isinstance(part, Shading) and not part.sigma_is_fixed]
-
-    def is_present(self, problem: Problem) -> bool:
-        """Whether the evidence is for a shaded gain."""
-        return bool(self.unknown(problem)) and self._most_likely(problem) is not None
 
     @torch.no_grad()
     def estimate(self, problem: Problem) -> None:

@@ -15,7 +15,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 #: Kernels with the types that they are called with, in the order of their first use: of bursts, and of recordings.
@@ -26,11 +26,6 @@ PROGRAM = "import sys; sys.path[:0] = sys.argv[1:2]; from deepir.kernels import 
 
 log = logging.getLogger("deepir")
 _beside = False  # this process is one of them
-
-
-def kernel_name(function: Callable[..., object]) -> str:
-    """The module and name of a kernel."""
-    return f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
 
 
 def wait_for(name: str) -> bool:

@@ -7,7 +7,7 @@ import itertools
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
@@ -16,9 +16,6 @@ from deepir.kernels import ahead
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-T = TypeVar("T")
-Found = TypeVar("Found")
 
 
 class _Cache:
@@ -29,7 +26,7 @@ class _Cache:
     """
 
     def __init__(self, cache: Any, function: Callable[..., Any]) -> None:
-        self.cache, self.name = cache, ahead.kernel_name(function)
+        self.cache, self.name = cache, f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         """The compiled kernel; None if it is not in the cache, and nobody else compiles it."""
@@ -74,22 +71,16 @@ def parallel_for(loop: Callable[..., object], count: int, *arguments: Tensor | n
     threads = min(available(), max(count, 1))
     mine, *others = itertools.pairwise(count * i // threads for i in range(threads + 1))
     waiting = [_pool(os.getpid()).submit(alone, loop, *part, *arrays) for part in others]
-    if waiting:
-        alone(loop, *mine, *arrays)
-    else:
-        loop(*mine, *arrays)
+    run = functools.partial(alone, loop) if waiting else loop
+    run(*mine, *arrays)
     for each in waiting:
         each.result()
 
 
-def parallel_map(function: Callable[[T], Found], items: Sequence[T]) -> list[Found]:
+def parallel_map(function: Callable[..., Any], items: Sequence[Any]) -> list[Any]:
     """`function` of each item, on as many threads as there are."""
-    found: dict[int, Found] = {}
-
-    def part(first: int, last: int) -> None:
-        found.update((k, function(items[k])) for k in range(first, last))
-
-    parallel_for(part, len(items))
+    found: dict[int, Any] = {}
+    parallel_for(lambda first, last: found.update((k, function(items[k])) for k in range(first, last)), len(items))
     return [found[k] for k in range(len(items))]
 
 

@@ -93,7 +93,9 @@ def find_pattern(
         level, which is in no part unless a shading's strength is given.
     """
     shared = gradient_consensus(frames.numpy(), usable.numpy())
-    isolated = torch.from_numpy(isolated_offsets(shared, usable.any(0).numpy()))
+    # A Gaussian prior, whatever its spectrum, would take most of the offsets of single pixels away.
+    outliers = pattern_outliers(shared, usable.any(0).numpy())
+    isolated = torch.from_numpy(np.where(outliers, shared - ndimage.median_filter(shared, 3), 0))
     edges = Edges(frames - isolated, usable, torch.from_numpy(shared) - isolated)
     unknowns = _Unknowns(edges, gain, offset)
     for i in range(ROUNDS):
@@ -135,14 +137,6 @@ def estimate_offset(frames: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray,
     if is_implausible(offset, known):
         offset = offset - low_order_part(offset, known)
     return offset - offset[known].mean(), moved is not None
-
-
-def isolated_offsets(shared: Array, known: Array) -> Array:
-    """Offsets (h, w) of single pixels far off their neighbours in what frames share; zero elsewhere.
-
-    A Gaussian prior, whatever its spectrum, would take most of them away. `known` (h, w) are the pixels that count.
-    """
-    return np.where(pattern_outliers(shared, known), shared - ndimage.median_filter(shared, 3), 0)
 
 
 @torch.no_grad()

@@ -67,7 +67,11 @@ def safeguarded(result: Result, burst: Burst, *, registered: bool, trusted: bool
     if found is None or raw is None or shared is None:
         return kept
     free = None
-    if registered and len(burst.frames) >= MIN_FRAMES and _doubtful(found, raw, shared):
+    # Half the fine pattern is left, or more of the low-order part than the median gradients leave.
+    is_doubtful = found.fine.residual.detail > raw.fine.residual.detail / 2 or shared.nats < min(
+        found.whole.residual.nats, found.fine.residual.nats
+    )
+    if registered and len(burst.frames) >= MIN_FRAMES and is_doubtful:
         offset, _ = estimate_offset(burst.frames, burst.valid & ~burst.bad_pixels)
         free = _candidates(UNREGISTERED, scorer, burst, one, offset)
     best = _best(found, free, raw, scorer, registered=registered)
@@ -147,12 +151,6 @@ def _candidates(name: str, scorer: CorrectionScorer, burst: Burst, gain: Array, 
         return None
     short = Correction(f"{name}, without its low-order part", gain, offset - low_order, fine)
     return _Candidates(Correction(name, gain, offset, whole), short, low_order, not is_implausible(pattern, good))
-
-
-def _doubtful(found: _Candidates, raw: _Candidates, shared: ResidualPattern) -> bool:
-    """Whether half the fine pattern is left, or more of the low-order part than the median gradients leave."""
-    half = found.fine.residual.detail > raw.fine.residual.detail / 2
-    return half or shared.nats < min(found.whole.residual.nats, found.fine.residual.nats)
 
 
 def _best(

@@ -67,7 +67,14 @@ class NUC(Recipe):
         schedule = Schedule(
             [
                 Stage("sensor 1", first, short, tolerance=rough),
-                Stage("homography", steps, short, tolerance=rough, needed=_bends, change=_bend),
+                Stage(
+                    "homography",
+                    steps,
+                    short,
+                    tolerance=rough,
+                    needed=lambda problem: any(misses_bending(each) for each, _ in _rigid(problem)),
+                    change=_bend,
+                ),
                 Stage("sensor 2", steps, short, prepare=self.first_update, tolerance=rough),
                 Stage("sensor 3", steps, long, prepare=self.update, tolerance=fine),
                 Stage("scene", alone, last, prepare=self.finish, use_held_out=True, tolerance=scene),
@@ -99,10 +106,6 @@ def _rigid(problem: Any) -> list[tuple[Problem, Auto]]:
         if each.motion_unknown() and len(each.data) >= MIN_FRAMES
         if isinstance(field := each.fields[each.motion_unknown()], Auto) and not field.uses_homography
     ]
-
-
-def _bends(problem: Any) -> bool:
-    return any(misses_bending(each) for each, _ in _rigid(problem))
 
 
 def _bend(problem: Any) -> None:

@@ -240,18 +240,15 @@ def _holds(found: Bursts, solution: SensorSolution, mean: Array) -> bool:
     """Whether frames register as a whole, or nearly so, of a camera that turns about one axis."""
     one_way = _one_way(found.bursts[0].tells) is not None
     fit = solution.inflation <= MAX_INFLATION or (one_way and solution.registers)
-    return fit and not _cancel(mean, solution.offset)
+    # The mean varies less over long periods than the scenes would that another offset leaves.
+    left, before = (float(low_order_part(each).std()) for each in (mean - solution.offset, mean))
+    return fit and left <= MAX_CANCELLATION * before
 
 
 def _one_way(tells: Array) -> tuple[str, str, str] | None:
     """How a camera moves along one axis alone, by the modes (h, w) that its motion tells."""
     along = (tells[1:, 0], tells[0, 1:])
     return next((words for told, words in zip(along, ONE_WAY, strict=True) if told.mean() < 0.5), None)
-
-
-def _cancel(mean: Array, offset: Array) -> bool:
-    """Whether the mean of frames (h, w) varies less over long periods than the scenes would that an offset leaves."""
-    return bool(low_order_part(mean - offset).std() > MAX_CANCELLATION * low_order_part(mean).std())
 
 
 def _contrasts(frames: Array) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import methodcaller
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,8 @@ if TYPE_CHECKING:
 
 ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating, the last alone in large frames; from which the gain is free
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
-#: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient.
+#: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient. After the
+#: second, one burst that registers has at most 0.33; others, 0.56 and more, are given up.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
 FREE_MOTION = (3, 3, 8, 8, 8)  # parameters of the motion in each round: a turning camera's, then a homography's
 #: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
@@ -107,12 +109,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
     fine[0, 0] = False
     broad = prior.start
     for number in range(ROUNDS - 1 if low_order else 0, ROUNDS):
-
-        def prepare(burst: Burst, offset: Array = offset, gain: Array = gain, number: int = number) -> None:
-            burst.align(offset, gain, FREE_MOTION[number])
-            burst.weigh(offset, gain, MOTION_ERRORS[number], robust=number > 0)
-
-        parallel_map(prepare, bursts)
+        parallel_map(methodcaller("align", offset, gain, FREE_MOTION[number]), bursts)
+        parallel_map(methodcaller("weigh", offset, gain, MOTION_ERRORS[number], robust=number > 0), bursts)
         told, found = np.any([burst.tells for burst in bursts], axis=0), dct(offset)
         prior.start = np.where(told, broad, broad[0, 0])
         of_sensor = np.minimum(1, broad / np.maximum(group_power(found, prior.groups), 1e-30))
@@ -127,7 +125,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         inflation, motion_error = np.mean([(burst.inflation, burst.motion_error) for burst in bursts], axis=0).tolist()
-        if _is_hopeless(inflation, motion_error, len(bursts), number):
+        loose = number > 0 and inflation > MAX_INFLATION and motion_error > MOTION_ERRORS[0]
+        if loose if len(bursts) == 1 else inflation > HOPELESS_MISFIT:
             return SensorSolution.of_offset(offset)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
@@ -155,16 +154,6 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
     )
 
 
-def _is_hopeless(inflation: float, motion_error: float, bursts: int, number: int) -> bool:
-    """Whether frames will not register, by what a round leaves: stretches by the first, one burst by the second.
-
-    There, bursts that register have an error of the motion of 0.33 px at most, others 0.56 px and more.
-    """
-    if bursts > 1:
-        return inflation > HOPELESS_MISFIT
-    return number > 0 and inflation > MAX_INFLATION and motion_error > MOTION_ERRORS[0]
-
-
 def low_order_step(
     bursts: Sequence[Burst | DisplacedFrames], modes: LowOrderModes, prior: PatternPrior, offset: Array, gain: Array
 ) -> tuple[Array, Array]:
@@ -179,7 +168,7 @@ def low_order_step(
     Returns:
         The change (h, w), and the posterior covariance (K, K) of the coefficients of the modes.
     """
-    systems = parallel_map(lambda burst: burst.equations(modes, offset, gain), bursts)
+    systems = parallel_map(methodcaller("equations", modes, offset, gain), bursts)
     before = modes.analyse(offset)
     for burst in bursts:
         burst.inflation, burst.level_variance = 1.0, max(burst.level_variances)

@@ -68,7 +68,8 @@ class PatternPrior:
         for kind in range(3):
             of_kind = self.groups % 3 == kind
             white[of_kind] = max(float(np.median(modes[of_kind & finest] ** 2)) / CHI_SQUARED_MEDIAN, 1e-12)
-        self.start = white + white[-1, -1] * (_growth(modes.shape) - 1)
+        growth = (2 * max(modes.shape) / WHITE_PERIOD / np.maximum(mode_radius(modes.shape), 1)) ** 2
+        self.start = white + white[-1, -1] * (np.maximum(1, growth) - 1)
         self.start[0, 0] = 1e-9 * float(white.min())
         self.variance = self.start.copy()
 
@@ -115,11 +116,6 @@ def group_power(modes: Array, groups: Array) -> Array:
     """Mean square (h, w) of modes (h, w) over those of each group (h, w)."""
     mean = np.bincount(groups.ravel(), modes.ravel() ** 2) / np.maximum(np.bincount(groups.ravel()), 1)
     return np.asarray(mean[groups])
-
-
-def _growth(size: Sequence[int]) -> Array:
-    """Variance (h, w) of each mode of a pattern, relative to that of the finest, at most."""
-    return np.maximum(1, (2 * max(size) / WHITE_PERIOD / np.maximum(mode_radius(size), 1)) ** 2)
 
 
 class LowOrderModes:

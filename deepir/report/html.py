@@ -263,12 +263,9 @@ def _figures(result: Result) -> list[tuple[str, str]]:
         "seconds": ("time", "{:.1f} s"),
     }
     used = f"{int(result.frames_used.sum())} of {len(result.frames_used)}"
-    known = [(name, form.format(found[key])) for key, (name, form) in shown.items() if _number(found.get(key))]
+    numbers = {key: value for key, value in found.items() if isinstance(value, int | float) and np.isfinite(value)}
+    known = [(name, form.format(numbers[key])) for key, (name, form) in shown.items() if key in numbers]
     return [*known, ("frames used", used)]
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
 def _stages(history: list[dict[str, Any]]) -> list[dict[str, Any]]:

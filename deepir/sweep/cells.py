@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
-from typing import Any
 
 from deepir.config import Config, load, read
 from deepir.config.components import nested
@@ -141,7 +140,10 @@ class Cell:
         state = self.folder.state()
         if state == "new":
             return state
-        then, now = (_leaves(each) for each in (read(self.folder.active.config), self.config))
+        then, now = (
+            {key: value for key, value in nested(each.model_dump()) if not isinstance(value, Mapping)}
+            for each in (read(self.folder.active.config), self.config)
+        )
         for key in sorted(then.keys() | now.keys()):
             if key != "threads" and then.get(key) != now.get(key):
                 raise ConfigError(
@@ -245,8 +247,3 @@ def check_inputs(found: Sequence[Cell]) -> None:
             data = cell.config.sources().values()
             now = input_digests(cell.config, ["" if each.path is None else digest(each.path) for each in data])
             check_unchanged(cell.folder.record().inputs, now, cell.folder.path)
-
-
-def _leaves(config: Config) -> dict[str, Any]:
-    """The settings of a configuration, such as `data.path`."""
-    return {key: value for key, value in nested(config.model_dump()) if not isinstance(value, Mapping)}

@@ -108,7 +108,8 @@ def panels(cells: Sequence[Cell]) -> list[list[Image.Image]]:
     errors = [np.where(known, scene - truth, 0) for scene in scenes]
     reach = float(np.quantile(np.abs(errors), 0.99)) or 1.0
     low, high = np.nanquantile(truth, (0.005, 0.995))
-    names = ["truth", *(_name(cell) for cell in chosen)]
+    apart = [[value for key, value in cell.values.items() if key not in REPEATS] for cell in chosen]
+    names = ["truth", *(printable(", ".join(each)) for each in apart)]
     shown = [truth, *scenes]
     return [
         [draw_map(np.clip(each, low, high), name, WHITE_HOT, PICTURE) for each, name in zip(shown, names, strict=True)],
@@ -153,11 +154,6 @@ def _cell(group: Group, name: str, *, bold: bool) -> str:
 
 def _escaped(text: str) -> str:
     return "".join(LATEX.get(letter, letter) for letter in printable(text))
-
-
-def _name(cell: Cell) -> str:
-    """What sets a cell apart from the others of its burst and seed."""
-    return printable(", ".join(value for key, value in cell.values.items() if key not in REPEATS))
 
 
 def _scene(cell: Cell) -> Array:

@@ -211,7 +211,9 @@ def train(
     network = training.network().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     total = training.iterations if iterations is None else iterations
     adam = torch.optim.Adam(network.parameters(), lr=training.rate, fused=True)
-    steps = torch.optim.lr_scheduler.LambdaLR(adam, lambda i: _step(i, total))
+    steps = torch.optim.lr_scheduler.LambdaLR(
+        adam, lambda i: min(1.0, (i + 1) / WARM_UP_ITERATIONS) * (1 + math.cos(math.pi * i / total)) / 2
+    )
     start, average = time.monotonic(), math.nan
     for i in range(total):
         with torch.autocast("cpu", torch.bfloat16):
@@ -225,8 +227,3 @@ def train(
         average = last if i == 0 else average + max(0.01, 1 / (i + 1)) * (last - average)
         report(TrainingProgress(i + 1, total, average, time.monotonic() - start))
     return network.eval()
-
-
-def _step(iteration: int, total: int) -> float:
-    """Step size over its full value."""
-    return min(1.0, (iteration + 1) / WARM_UP_ITERATIONS) * (1 + math.cos(math.pi * iteration / total)) / 2

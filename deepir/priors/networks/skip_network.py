@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import methodcaller
 from typing import Any, Literal
 
 import torch
@@ -195,9 +196,5 @@ class Skip(nn.Module):
             doubled = F.interpolate(x, scale_factor=2, mode=self.up)
         # Its gradient is a slice of that of what it is joined with, and takes nine times as long if it is not packed.
         if doubled.requires_grad:
-            doubled.register_hook(_to_channels_last)
+            doubled.register_hook(methodcaller("contiguous", memory_format=torch.channels_last))
         return doubled
-
-
-def _to_channels_last(gradient: Tensor) -> Tensor:
-    return gradient.contiguous(memory_format=torch.channels_last)
