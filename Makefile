@@ -100,10 +100,10 @@ bench-gpu: setup  ## seconds and quality of whole solves on a GPU, where there i
 reliability: setup  ## damaged inputs, kills, full disks, flipped bits, races: two hours, goes on where it was cut short
 	$(BIN)/python benchmarks/reliability.py --workers $(WORKERS) --output docs/benchmarks/reliability.md
 
-bench-startup: setup  ## seconds from the start of a run to its end, beside torch's import and the solve
-	$(BIN)/python benchmarks/startup.py
+bench-speed: setup  ## seconds and memory of whole commands, written into docs/benchmarks/overview.md
+	$(BIN)/python benchmarks/speed.py --page
 
 clean:  ## remove .venv and caches
 	rm -rf .venv build dist site .pytest_cache .mypy_cache .ruff_cache
 
-.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-live bench-effects bench-misfit bench-frameworks bench-gpu bench-startup clean
+.PHONY: reliability golden help setup demo test test-all lint docs bench bench-full bench-nuc bench-sr bench-lag bench-multiview bench-flow bench-narcissus bench-deconv bench-priors bench-problems bench-paper bench-switches bench-real bench-recordings bench-live bench-effects bench-misfit bench-frameworks bench-gpu bench-speed clean
