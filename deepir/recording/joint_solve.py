@@ -180,7 +180,7 @@ def low_order_step(
         system, evidence = systems[bursts.index(burst)], []
         for variance in burst.level_variances:
             burst.level_variance = variance
-            evidence.append(_fit([burst], [system], prior, modes, before, free.variance).evidence)
+            evidence.append(_fit([burst], [system], prior, modes, before).evidence)
         burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
 
     parallel_map(set_level_variance, [burst for burst in bursts if len(burst.level_variances) > 1])
@@ -217,23 +217,20 @@ def _fit(
     prior: PatternPrior,
     modes: LowOrderModes,
     before: Array,
-    variance: Array | None = None,
 ) -> _Fit:
-    """The modes under given variances (K,), or those of expectation maximisation; the evidence is up to a constant."""
+    """Expectation maximisation of the variances, from a broad prior; the evidence is up to a constant."""
     reduced = [_nuisance(burst, system, modes) for burst, system in zip(bursts, systems, strict=True)]
     data = sum(each.matrix for each in reduced)
     own = sum(each.score for each in reduced)
     score = own + data @ before
     count = int(modes.low.sum())
-    updates = UPDATES if variance is None else 1
-    if variance is None:
-        open_modes = prior.start == prior.start[0, 0]
-        variance = modes.variances(np.where(modes.low | open_modes, prior.start, prior.variance))
-    for number in range(updates):
+    open_modes = prior.start == prior.start[0, 0]
+    variance = modes.variances(np.where(modes.low | open_modes, prior.start, prior.variance))
+    for number in range(UPDATES):
         matrix = data + np.diag(1 / variance)
         covariance = np.linalg.inv(matrix)
         mean = covariance @ score
-        if number < updates - 1:
+        if number < UPDATES - 1:
             spread = modes.on_modes(np.diag(covariance))
             variance[:count] = prior.strengths(modes.on_modes(mean), spread, modes.low)
     evidence = 0.5 * (score @ mean + np.linalg.slogdet(covariance)[1] - np.log(variance).sum())
