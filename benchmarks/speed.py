@@ -1,7 +1,7 @@
 """Seconds and memory of whole commands, from the start of the process to the last file: `make bench-speed`.
 
-Each command runs on simulated data, once to fill caches, and then by turns with the import of torch. The table takes
-the place of the one between the comments in docs/benchmarks/overview.md.
+Each command runs on simulated data, once to fill caches, and then some times more. The table takes the place of the
+one between the comments in docs/benchmarks/overview.md.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ BURST, RECORDING = ("n_frames=5",), ("kind=walk",)
 #: Command, data in words, and how they are simulated.
 CASES = (
     ("run nuc", "5 x 192 x 160", (*BURST, "shape=[160,192]")),
-    ("run nuc", "5 x 320 x 256", (*BURST, "shape=[256,320]")),
     ("run nuc", "5 x 640 x 512", (*BURST, "shape=[512,640]")),
     ("run sr", "16 x 160 x 120, x4", ("n_frames=16", "shape=[120,160]")),
     ("correct", "40 x 160 x 120, a walk", (*RECORDING, "n_frames=40", "shape=[120,160]")),
@@ -56,9 +55,8 @@ def cost(*arguments: str) -> Cost:
 
 
 def rows(folder: Path, repeats: int) -> Iterator[str]:
-    """Of the table, medians, and the median seconds of the import of torch below it."""
+    """Of the table, medians."""
     yield HEADER
-    torch = []
     for command, what, settings in CASES:
         data, run = folder / "data.npz", folder / "run"
         cost("-m", "deepir", "simulate", str(data), *settings, "--overwrite")
@@ -66,13 +64,11 @@ def rows(folder: Path, repeats: int) -> Iterator[str]:
         costs, solves = [], []
         for _ in range(repeats + 1):
             costs.append(cost("-m", "deepir", *command.split(), *given, "--overwrite"))
-            torch.append(cost("-c", "import torch").seconds)
             if command.startswith("run"):
                 solves.append(json.loads((run / "metrics.json").read_text(encoding="utf-8"))["seconds"])
         seconds, cpu, peak = (statistics.median(each) for each in zip(*costs[1:], strict=True))
         solve = f"{statistics.median(solves[1:]):.2f}" if solves else ""
         yield f"| `{command}` | {what} | {seconds:.2f} | {cpu:.2f} | {solve} | {peak:.0f} |"
-    yield f"\n`import torch` alone takes {statistics.median(torch):.2f} s of a `run`; `correct` does without."
 
 
 def main() -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating, the last alone in large frames; from which the gain is free
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient. After the
-#: second, one burst that registers has at most 0.33; others, 0.56 and more, are given up.
+#: second, one burst that registers has at most 0.33, and a misfit of 24; those of 0.5, or 40, are given up.
 MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
 FREE_MOTION = (3, 3, 8, 8, 8)  # parameters of the motion in each round: a turning camera's, then a homography's
 #: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
@@ -125,8 +125,8 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         inflation, motion_error = np.mean([(burst.inflation, burst.motion_error) for burst in bursts], axis=0).tolist()
-        loose = number > 0 and inflation > MAX_INFLATION and motion_error > MOTION_ERRORS[0]
-        if loose if len(bursts) == 1 else inflation > HOPELESS_MISFIT:
+        loose = inflation > MAX_MISFIT or (inflation > MAX_INFLATION and motion_error > MOTION_ERRORS[0])
+        if number > 0 and loose if len(bursts) == 1 else inflation > HOPELESS_MISFIT:
             return SensorSolution.of_offset(offset)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
