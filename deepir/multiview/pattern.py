@@ -19,11 +19,10 @@ from deepir.fields.shading import Shading
 from deepir.multiview.gradients import ColouredPixels, Edges, WhiteParts
 from deepir.multiview.low_order_pattern import is_implausible, low_order_part, low_order_pattern
 from deepir.multiview.pattern_gradients import gradient_consensus, shares
-from deepir.multiview.texture_flow import coarsening, displacements
+from deepir.multiview.texture_flow import TEXTURE_SIGMA, coarsening, displacements
 
 PAIRS = 5  # pairs of frames, half the recording apart, that are compared
 DETAIL = 5  # px, of the box average that is taken off for the fine part of what all frames share
-TEXTURE_SIGMA = 8.0  # px; Gaussian that separates the texture of what they share from what is broader
 #: Deviation of the coarser texture that all frames share, in that of its fine part, from which it may be a scene's:
 #: white pixels have 0.2, a raw pattern that hides the scene 0.3 to 0.7, a camera at rest behind a shutter 2.
 SCENE_RATIO = 1.0

@@ -22,13 +22,12 @@ PYRAMID_SIGMA, GRADIENT_SIGMA = 1.0, 0.7  # px, of Gaussians before halving and 
 DAMPING = 0.03
 MEDIAN_SIDE = 5  # px, of the median filter of the flow on each level
 SHORT_SIDE = 120  # px; frames are averaged to this shorter side, at least
-#: px of each resolution, half-widths of windows, applied twice, over whose mean texture stands out, and its contrast is
-#: normalised: standard deviations 7.7 and 15.9 px.
-TEXTURE_RADIUS, CONTRAST_RADIUS = 9, 19
+TEXTURE_SIGMA = 8.0  # px of each resolution; Gaussian that separates texture from what is broader
+CONTRAST_SIGMA = 16.0  # px of each resolution; Gaussian over which the contrast of the texture is normalised
 CONTRAST_FLOOR = 0.3  # of the frame's median contrast, added to the local one: noise does not become texture
 MAX_LOOP_ERROR = 1.0  # px; distance by which forward and backward displacement may miss the start
 MIN_CORRELATION = 0.7  # normalised local correlation of texture from which a displacement is trusted
-CORRELATION_RADIUS = 8  # px; half-width of the window of this correlation
+CORRELATION_SIGMA = 5.0  # px; Gaussian window of this correlation
 MIN_DISPLACEMENT = 0.5  # px of the frames passed in; smaller displacements are no motion
 BORDER = 2  # px from the border within which no displacement is trusted
 
@@ -80,22 +79,12 @@ def coarsening(size: Sequence[int]) -> int:
     return max(1, min(size) // SHORT_SIDE)
 
 
-def _window_sums(values: Array, radius: int) -> Array:
-    """Sums over windows of `2 radius + 1` px."""
-    sums, rows = np.empty(values.shape), np.empty(values.shape)
-    box_sum(values, radius, sums, rows)
-    return sums
-
-
-def _window_means(values: Array, radius: int) -> Array:
-    """Means over windows of `2 radius + 1` px, twice."""
-    return _window_sums(_window_sums(values, radius), radius) / (2 * radius + 1) ** 4
-
-
 def _structure_tensor(gradient: Array) -> tuple[Array, float]:
     """Structure tensor (yy, xy, xx), (3, h, w), summed over windows, and what is added to its diagonal."""
     down, across = gradient
-    tensor = np.stack([_window_sums(each, RADIUS) for each in (down * down, down * across, across * across)])
+    tensor, rows = np.empty((3, *down.shape)), np.empty(down.shape)
+    for product, sums in zip((down * down, down * across, across * across), tensor, strict=True):
+        box_sum(product, RADIUS, sums, rows)
     damping = DAMPING * float(np.median(tensor[0] + tensor[2])) + np.finfo(float).tiny
     tensor[0] += damping
     tensor[2] += damping
@@ -144,8 +133,8 @@ def displacements(frames: Array, pairs: Sequence[tuple[int, int]]) -> list[Displ
 
 def texture(frame: Array) -> Array:
     """High-pass of a frame (h, w), divided by its local contrast; standard deviation one."""
-    detail = frame - _window_means(frame, TEXTURE_RADIUS)
-    contrast = np.sqrt(np.maximum(_window_means(detail**2, CONTRAST_RADIUS), 0))
+    detail = frame - ndimage.gaussian_filter(frame, TEXTURE_SIGMA)
+    contrast = np.sqrt(ndimage.gaussian_filter(detail**2, CONTRAST_SIGMA))
     even = detail / (contrast + CONTRAST_FLOOR * np.median(contrast) + np.finfo(float).tiny)
     return np.asarray(even / max(even.std(), np.finfo(float).tiny))
 
@@ -161,7 +150,10 @@ def _displacement(pair: tuple[int, int], textures: dict[int, Pyramid]) -> Displa
     inside = (y >= BORDER) & (y <= height - 1 - BORDER) & (x >= BORDER) & (x <= width - 1 - BORDER)
     loop_error = np.hypot(*(ahead[i] + sampled(back[i], y, x) for i in (0, 1)))
     matched = sampled(there, y, x)
-    products = here**2, matched**2, here * matched
-    one, other, both = (_window_sums(each, CORRELATION_RADIUS) for each in products)
-    is_correlated = both > MIN_CORRELATION * np.sqrt(np.maximum(one * other, np.finfo(float).tiny))
+
+    def local_mean(values: Array) -> Array:
+        return np.asarray(ndimage.gaussian_filter(values, CORRELATION_SIGMA))
+
+    energy = np.sqrt(local_mean(here**2) * local_mean(matched**2))
+    is_correlated = local_mean(here * matched) > MIN_CORRELATION * np.maximum(energy, np.finfo(float).tiny)
     return Displacement(*pair, y, x, inside & (loop_error < MAX_LOOP_ERROR) & is_correlated)
