@@ -41,12 +41,12 @@ class Cost(NamedTuple):
     peak: float
 
 
-def cost(*arguments: str) -> Cost:
-    """Of a process of Python."""
+def cost(folder: Path, *arguments: str) -> Cost:
+    """Of a process of Python that leaves what it writes in a folder."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     start = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, *arguments], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [sys.executable, *arguments], cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     _, status, used = os.wait4(process.pid, 0)
     if status:
@@ -59,11 +59,11 @@ def rows(folder: Path, repeats: int) -> Iterator[str]:
     yield HEADER
     for command, what, settings in CASES:
         data, run = folder / "data.npz", folder / "run"
-        cost("-m", "deepir", "simulate", str(data), *settings, "--overwrite")
+        cost(folder, "-m", "deepir", "simulate", str(data), *settings, "--overwrite")
         given = (f"data.path={data}", f"output.dir={run}") if command.startswith("run") else (str(data),)
         costs, solves = [], []
         for _ in range(repeats + 1):
-            costs.append(cost("-m", "deepir", *command.split(), *given, "--overwrite"))
+            costs.append(cost(folder, "-m", "deepir", *command.split(), *given, "--overwrite"))
             if command.startswith("run"):
                 solves.append(json.loads((run / "metrics.json").read_text(encoding="utf-8"))["seconds"])
         seconds, cpu, peak = (statistics.median(each) for each in zip(*costs[1:], strict=True))

@@ -126,7 +126,7 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         inflation, motion_error = np.mean([(burst.inflation, burst.motion_error) for burst in bursts], axis=0).tolist()
         loose = inflation > MAX_MISFIT or (inflation > MAX_INFLATION and motion_error > MOTION_ERRORS[0])
-        if number > 0 and loose if len(bursts) == 1 else inflation > HOPELESS_MISFIT:
+        if (number > 0 and loose) if len(bursts) == 1 else inflation > HOPELESS_MISFIT:
             return SensorSolution.of_offset(offset)
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
