@@ -39,10 +39,6 @@ BLOCK = 16  # px, side of the blocks in which the strength of the fine part is t
 MAX_UNEVENNESS = 1.2
 MIN_KNOWN = 0.05  # share of a frame whose displacement is known, so that the frame is used
 LEVEL_STEP = 20.0  # standard deviation of the levels' steps, in sigmas of the noise
-#: Strength of what the low-order part has beside a multiple of the scenes' mean, relative to both, from which it is the
-#: sensor's. What scenes share stays in it, as a road that is darker the flatter it is seen: mostly a multiple of their
-#: mean. Beside it: 0.1 to 0.52 in 40 drives of weak shading and corrected cameras, 0.68 to 3 in 20 of strong shading.
-MIN_BESIDE_SCENE = 0.6
 
 
 class DisplacedFrames:
@@ -115,9 +111,11 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         step, _ = low_order_step(sets, modes, prior, offset, np.ones(size))
         offset = offset + step
     found, scene = (dct(each)[modes.low] for each in (offset, frames.mean(0) - offset))
+    # What the scenes share stays in it, as a road that is darker the flatter it is seen: mostly a multiple of their mean.
+    # Only what is stronger than that, beside it, is the sensor's.
     multiple = np.clip((found @ scene) / max(scene @ scene, 1e-30), 0, 1) * scene
     beside = found - multiple
-    if beside @ beside < MIN_BESIDE_SCENE**2 * (scene @ scene + multiple @ multiple):
+    if beside @ beside < scene @ scene + multiple @ multiple:
         return None
     return low_order_part(offset)
 
