@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -161,13 +160,14 @@ def _start(field: Field, init: Any, motion: Tensor | None, geometry: Geometry, w
     elif isinstance(init, int | float) and not isinstance(init, bool):
         field.init_from(torch.full(field.shape, float(init)))
     elif isinstance(init, str):
-        from deepir.io import read_frames
-
-        value = np.squeeze(read_frames(init).frames)
+        value = read_map(init)
+        value = value.reshape(field.shape) if value.numel() == math.prod(field.shape) else value.squeeze()
         try:
-            field.init_from(torch.from_numpy(value))
+            field.init_from(value)
         except RuntimeError as error:
-            raise ConfigError(f"{where}.init: {init} has shape {value.shape}, {field.shape} is wanted") from error
+            raise ConfigError(
+                f"{where}.init: {init} has shape {tuple(value.shape)}, {field.shape} is wanted"
+            ) from error
     elif init is not None:
         raise ConfigError(f"{where}.init = {init!r}: a number, 'register' (a motion), or an array's file is needed")
 
@@ -201,7 +201,10 @@ def build(
     n_frames = len(burst.frames)
     operator, slots, geometry = make_operator(config, burst.size, n_frames, motion, canvas)
     known, anchored = known or {}, "scene" not in (known or {})
-    scene_shape = (_scenes(config, n_frames), 1, *operator.in_size(burst.size))
+    shared = config.scene.get("shared", True)
+    if not isinstance(shared, bool):
+        raise ConfigError(f"scene.shared = {shared!r}: true or false is needed")
+    scene_shape = (1 if shared else n_frames, 1, *operator.in_size(burst.size))
     shapes = operator.slots(scene_shape, n_frames)
     names = _unknowns(list(shapes))
     fields: dict[str, Field] = {}
@@ -255,7 +258,12 @@ def build(
     with torch.no_grad():
         problem.precision *= problem.valid(problem.values())
         if problem.sensor is not None and (level := problem.sensor.reference) is not None:
-            _demand_near(level, data, f"physics.{operator.named()[-1][0]}.reference")
+            low, high = min(0.0, float(data.min())), max(0.0, float(data.max()))
+            if not low - (high - low) <= level <= high + (high - low):
+                raise ConfigError(
+                    f"physics.{operator.named()[-1][0]}.reference = {level:g}: the data are {float(data.min()):g} to "
+                    f"{float(data.max()):g}; give a level in their units, 0 for a raw detector, or auto"
+                )
             problem.measure_from(level)
     return problem, geometry
 
@@ -272,16 +280,6 @@ def _fidelity(config: Config, data: Tensor, usable: Tensor) -> Fidelity:
     return found
 
 
-def _demand_near(level: float, data: Tensor, where: str) -> None:
-    """Raise `ConfigError` for a level that is further from the data than zero is, by more than they span."""
-    low, high = min(0.0, float(data.min())), max(0.0, float(data.max()))
-    if not low - (high - low) <= level <= high + (high - low):
-        raise ConfigError(
-            f"{where} = {level:g}: the data are {float(data.min()):g} to {float(data.max()):g}; give a level in their "
-            "units, 0 for a raw detector, or auto"
-        )
-
-
 def build_scene(
     given: Mapping[str, Any], shape: tuple[int, ...], device: torch.device | None = None
 ) -> tuple[Field, dict[str, Penalty]]:
@@ -296,14 +294,6 @@ def build_scene(
     field = make_field(settings, shape, 0.0, shape[-2:], 1.0, "scene", shape.__eq__).to(device)
     penalties = make_penalties(settings, "scene", shape)
     return field, {name: penalty.to(device) for name, penalty in penalties.items()}
-
-
-def _scenes(config: Config, n_frames: int) -> int:
-    """How many scenes there are: one, or with `scene.shared: false` one for each frame."""
-    shared = config.scene.get("shared", True)
-    if not isinstance(shared, bool):
-        raise ConfigError(f"scene.shared = {shared!r}: true or false is needed")
-    return 1 if shared else n_frames
 
 
 def make_operator(

@@ -54,7 +54,7 @@ class Problem(nn.Module):
         agc: Whether the frames may have gains of their own, by which their data are divided on the way.
 
     Raises:
-        ValueError: A slot has no field, and no neutral value.
+        ValueError: A slot has no field, and no neutral value; a field or a penalty is of no unknown; the data's shape.
     """
 
     fields: Mapping[str, Field]
@@ -95,8 +95,14 @@ class Problem(nn.Module):
         chain = operator if isinstance(operator, Chain) else Chain.of(operator)
         self.operator, self.fidelity = chain, fidelity or Gaussian()
         self.noise, self.agc = noise, agc
-        wanted = chain.slots(tuple(fields["scene"].shape), len(data))
+        if not isinstance(data, Tensor) or data.ndim != 4 or not data.is_floating_point():
+            raise ValueError("data: a tensor of floats, (N, C, h, w), is needed")
+        wanted = chain.slots(tuple(fields["scene"].shape), len(data)) if "scene" in fields else {}
         self.slots = dict(slots) if slots is not None else {slot: slot.rpartition(".")[2] for slot in wanted}
+        unknowns = {"scene", *self.slots.values()}
+        for name in (*fields, *(penalties or {}), "scene"):
+            if name not in unknowns & fields.keys():
+                raise ValueError(f"{name!r} has no field, or is no unknown; unknowns are {', '.join(sorted(unknowns))}")
         fields = {**fields, **self._neutral(wanted, fields)}
         self.fields = nn.ModuleDict(fields)  # type: ignore[assignment]
         each = {name: nn.ModuleDict(mine) for name, mine in (penalties or {}).items()}

@@ -128,7 +128,6 @@ def test_a_pixel_without_a_value_in_one_flat_is_bad(camera):
 
 @pytest.mark.parametrize("end", [0, 2**14 - 1])
 def test_what_is_at_an_end_of_the_range_in_all_flats_is_bad(end):
-    """However widely the others' values spread: a zero is but six standard deviations off here."""
     rng = np.random.default_rng(3)
     frames = (8000 * (1 + 0.17 * rng.standard_normal((4, *SHAPE))[:1]) + rng.standard_normal((4, *SHAPE))).round()
     frames[:, 5::9, 3::11] = end

@@ -97,7 +97,6 @@ def test_a_problem_as_yaml_only_runs_with_a_plugin_that_is_named(plugin, outside
 
 
 def test_an_installed_plugin_is_found_and_listed(outside):
-    """In a process of its own."""
     install(outside)
     code = "from deepir.cli import main; assert not main(['list']) | main(['check', 'inpaint.yaml', 'problem=inpaint'])"
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": f"{outside}{os.pathsep}{ROOT}"}

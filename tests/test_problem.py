@@ -40,6 +40,14 @@ def test_penalties_stack_on_any_unknown():
     assert float(terms["gain.far"].detach()) == pytest.approx(3 * 42 / 2)
 
 
+def test_what_is_no_part_of_a_problem_is_refused():
+    parts = {"operator": Sensor(), "fields": {"scene": Pixels(SHAPE)}, "data": torch.rand(2, 1, 6, 7)}
+    more = parts["fields"] | {"gian": Pixels(SHAPE)}
+    for wrong in ({"penalties": {"scen": {}}}, {"fields": more}, {"fields": {}}, {"data": torch.zeros(6, 7)}):
+        with pytest.raises(ValueError, match=r"'(scen|gian|scene)' has no field|a tensor of floats"):
+            Problem(**parts | wrong)
+
+
 def test_a_field_is_evaluated_once_a_step_and_carries_a_gradient_only_if_it_is_free(small_nuc, monkeypatch):
     problem, calls = small_nuc(), []
     forward = type(problem.fields["scene"]).forward

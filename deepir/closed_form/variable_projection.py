@@ -113,7 +113,11 @@ def eliminate(
         ValueError: Two parts are of the same kind, or of a kind without a closed form.
     """
     parts = [_by_kind(each) for each in (gain, offset)]
-    sigma = dict(zip(KINDS, _sigmas(parts, flux.device), strict=True))
+    none = torch.zeros((), dtype=torch.float64, device=flux.device)
+    # Prior standard deviations of (gain, offset) for each kind of part, (2,); zero where there is none.
+    sigma = {
+        kind: torch.stack([each[kind].sigma.double() if kind in each else none for each in parts]) for kind in KINDS
+    }
     start = torch.tensor(neutral, dtype=torch.float64, device=flux.device)
     levels = start[1] + (start.new_zeros(len(flux)) if level is None else level.flatten().double())
     make = PixelEquationsCPU if is_compiled(flux) else PixelEquations
@@ -257,10 +261,3 @@ def _by_kind(parts: Sequence[GaussianMap]) -> dict[Kind, GaussianMap]:
             "pixels, columns, rows and shading has one"
         )
     return found
-
-
-def _sigmas(parts: Sequence[dict[Kind, GaussianMap]], device: torch.device) -> Tensor:
-    """Prior standard deviations of (gain, offset) for each kind of part, (4, 2), float64; zero where there is none."""
-    zero = torch.zeros((), dtype=torch.float64, device=device)
-    found = [each[kind].sigma.double() if kind in each else zero for kind in KINDS for each in parts]
-    return torch.stack(found).unflatten(0, (-1, 2))

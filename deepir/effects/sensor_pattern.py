@@ -59,8 +59,9 @@ def start_parts(problem: Problem, rest: Tensor) -> None:
     rms = float(used.square().mean().sqrt())
     level = rms if problem.reference else float(used.mean().abs())
     for slot, unit, most in (("gain", rms, level), ("offset", 1.0, 1.0)):
-        for part in _all_parts(problem, slot):
-            if not (part.sigma_is_fixed or isinstance(part, Shading)):
+        parts = problem.fields[unknowns[slot]].modules() if (unknowns := problem.sensor_unknowns()) else ()
+        for part in parts:  # whether they have a closed form or not
+            if isinstance(part, GaussianMap) and not (part.sigma_is_fixed or isinstance(part, Shading)):
                 found = robust_std(high_pass(pattern, part)) / 2**0.5
                 part.sigma.fill_(found / unit)
                 part.max_sigma.fill_(MAX_SIGMA_RATIO * found / most)
@@ -102,14 +103,6 @@ def high_order(values: Tensor) -> Tensor:
     along = torch.linspace(-1, 1, count, dtype=values.dtype, device=values.device)
     basis = torch.linalg.qr(torch.linalg.vander(along, N=min(LOW_ORDER_DEGREE, count // 8) + 1)).Q
     return values - values @ basis @ basis.T
-
-
-def _all_parts(problem: Problem, slot: str) -> list[GaussianMap]:
-    """Parts of what is bound to a slot of this name, whether they have a closed form or not."""
-    unknowns = problem.sensor_unknowns()
-    if not unknowns:
-        return []
-    return [each for each in problem.fields[unknowns[slot]].modules() if isinstance(each, GaussianMap)]
 
 
 @register("effect", "sensor_pattern")

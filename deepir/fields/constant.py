@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -48,14 +49,19 @@ class Constant(Field):
         """The given value."""
         return self.values
 
+    def starting_at(self, value: Tensor) -> Self:
+        """The field itself, of this value."""
+        self.values = value
+        return self
+
     def init_from(self, value: Tensor) -> None:
         """Nothing: what is known stays."""
 
 
 def read_map(path: str, key: str | None = None) -> Tensor:
     """The array of a file: one of more than three axes as it is stored, else maps (N, h, w)."""
-    from deepir.io import read_frames, readers  # not above: it is slow to import
+    from deepir.io import frames, readers  # not above: they are slow to import
 
     stored = readers.opened(expanded(path), key).read()
     whole = stored.ndim > 3 and stored.dtype.kind in "fiub"
-    return torch.from_numpy(as_float32(stored) if whole else read_frames(path, key=key).frames)
+    return torch.from_numpy(as_float32(stored if whole else frames.to_stack(stored, path)))

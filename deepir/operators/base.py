@@ -259,6 +259,13 @@ class Chain(Operator):
         """Samples at pixel centres by the first stage."""
         return self.named()[0][1].to_pixels(x)
 
+    def _with_neutral(self, x: Tensor, slots: dict[str, Tensor]) -> dict[str, Tensor]:
+        for name in slots:
+            if name.partition(".")[0] not in self.stages:
+                known = ", ".join(self.slots(tuple(x.shape), len(x)))
+                raise ValueError(f"no slot {name!r} in this chain, which has: {known}")
+        return slots
+
     def named(self) -> list[tuple[str, Operator]]:
         """(name, stage), in the order of application."""
         return list(self.stages.items())  # type: ignore[arg-type]

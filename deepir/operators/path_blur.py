@@ -50,7 +50,9 @@ class PathBlur(Blur):
         """The point-spread function of each path, (N, 1, 2 margin + 1, 2 margin + 1), sum one."""
         axis = torch.arange(-self.radius, self.radius + 1, dtype=path.dtype, device=path.device)
         # Of a shift by +1 the convolution takes the sample at -1.
-        across, down = (_lanczos(axis + path[:, 0, :, i, None]) for i in (0, 1))
+        offsets = (axis + path[:, 0, :, i, None] for i in (0, 1))
+        # Lanczos' kernel, along either axis.
+        across, down = (torch.where(x.abs() < LOBES, torch.sinc(x) * torch.sinc(x / LOBES), 0.0) for x in offsets)
         found = down.mT @ across
         return (found / found.sum((1, 2), keepdim=True))[:, None]
 
@@ -58,8 +60,3 @@ class PathBlur(Blur):
         """Pixels whose whole window is valid, of frames whose path is within the margin."""
         within = path.abs().amax((1, 2, 3)) <= self.radius - LOBES + 1e-4
         return super().valid(mask, psf=path) * within[:, None, None, None]
-
-
-def _lanczos(x: Tensor) -> Tensor:
-    """Lanczos' interpolation kernel at distances x, px."""
-    return torch.where(x.abs() < LOBES, torch.sinc(x) * torch.sinc(x / LOBES), 0.0)

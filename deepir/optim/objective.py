@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
@@ -150,7 +150,10 @@ def save_state(
     problem: AnyProblem, optimisers: list[tuple[Optimiser, Step]], position: Position, checkpoint: Checkpoint
 ) -> None:
     """Save position, unknowns and optimisers to a checkpoint."""
-    tensors = {f"problem.{name}": value for name, value in _state(problem).items()}
+    # The data, which a resumed run reads again, are kept only if they have changed on the way.
+    changed = any(bool((each.contrast != 1).any()) or bool(each.reference != 0) for each in problem.data_sets)
+    kept = {name: value for name, value in problem.state_dict().items() if changed or not _is_data(name)}
+    tensors = {f"problem.{name}": value.detach() for name, value in kept.items()}
     for i, (optimiser, _) in enumerate(optimisers):
         tensors |= {f"optimiser{i}.{name}": value for name, value in optimiser.state().items()}
     checkpoint.save(tensors, asdict(position))
@@ -195,13 +198,6 @@ def _checked(position: Position) -> Position:
     ):
         raise TypeError("a history that no solve has")
     return position
-
-
-def _state(problem: AnyProblem) -> Mapping[str, Tensor]:
-    """Parameters and buffers; the data, which a resumed run reads again, only if they have changed on the way."""
-    kept = problem.state_dict().items()
-    changed = any(bool((each.contrast != 1).any()) or bool(each.reference != 0) for each in problem.data_sets)
-    return {name: value.detach() for name, value in kept if changed or not _is_data(name)}
 
 
 def _is_data(name: str) -> bool:

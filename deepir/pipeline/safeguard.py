@@ -169,18 +169,12 @@ def _best(
         if registered and own and each is found and each.whole.residual.nats <= raw.whole.residual.nats:
             taken = gain >= -MARGIN
         else:
-            certain = _is_certain(best.residual.pair_nats - other.residual.pair_nats)
+            gains = best.residual.pair_nats - other.residual.pair_nats
+            certain = len(gains) > 1 and gains.mean() > CERTAINTY * gains.std(ddof=1) / len(gains) ** 0.5
             taken = certain and gain >= (0.0 if own else MARGIN)
         if taken:
             best = other
     return raw.whole if best.residual.nats > raw.whole.residual.nats + MARGIN else best
-
-
-def _is_certain(gains: Array) -> bool:
-    """Whether nats that pairs of frames gain, (pairs,), have a mean above zero, by its standard error."""
-    if len(gains) < 2:
-        return False
-    return bool(gains.mean() > CERTAINTY * gains.std(ddof=1) / len(gains) ** 0.5)
 
 
 def _mixed(fine: _Candidates, low_order: _Candidates, scorer: CorrectionScorer) -> Correction:

@@ -111,8 +111,7 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         step, _ = low_order_step(sets, modes, prior, offset, np.ones(size))
         offset = offset + step
     found, scene = (dct(each)[modes.low] for each in (offset, frames.mean(0) - offset))
-    # What the scenes share stays in it, as a road that is darker the flatter it is seen: mostly a multiple of their mean.
-    # Only what is stronger than that, beside it, is the sensor's.
+    # What the scenes share stays in it, mostly a multiple of their mean: what is stronger beside it is the sensor's.
     multiple = np.clip((found @ scene) / max(scene @ scene, 1e-30), 0, 1) * scene
     beside = found - multiple
     if beside @ beside < scene @ scene + multiple @ multiple:

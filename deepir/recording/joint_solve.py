@@ -64,6 +64,8 @@ class SensorSolution:
         motion_error: of the frames, px; inf where they do not register.
         inflation: variance of the misfit at the scale where it is largest, relative to the samples' noise.
         noise: of a sample, frames' units; NaN where it is not known.
+        last_change: of the part of long periods in the last round, relative to it: large where motion and pattern
+            hardly differ.
     """
 
     offset: Array
@@ -74,6 +76,7 @@ class SensorSolution:
     motion_error: float
     inflation: float
     noise: float
+    last_change: float = 0.0
 
     @property
     def registers(self) -> bool:
@@ -131,8 +134,9 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         if number >= FIRST_GAIN_ROUND:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
     left = np.where(told, 0.0, broad + (dct(start) - dct(offset)) ** 2)  # what may be the scene's, or not
-    uncertainty = np.inf
+    uncertainty, last_change = np.inf, 0.0
     if not low_order:
+        last_change = float(np.linalg.norm(step)) / max(float(np.linalg.norm(modes.analyse(offset))), 1e-30)
         uncertainty = (
             float(np.trace(covariance) ** 0.5 / max(np.linalg.norm(modes.analyse(offset)), 1e-30))
             if told[modes.low].mean() > 0.5
@@ -151,6 +155,7 @@ def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, 
         motion_error,
         inflation,
         float(np.mean([burst.noise for burst in bursts])),
+        last_change,
     )
 
 

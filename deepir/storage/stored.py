@@ -169,7 +169,9 @@ def resume(path: Path, *, plugins: Sequence[str] = (), callbacks: Callbacks = ()
     """
     folder = RunFolder(expanded(path).absolute())
     if not folder.path.is_dir() or (state := folder.state()) == "new":
-        raise ConfigError(f"{path}: no run in this folder{_known_runs(path.parent)}")
+        known = ", ".join(sorted(str(each.parent) for each in path.parent.glob("*/config.yaml"))[:5])
+        there = f"; runs here: {known}" if known else " (a run is a folder with config.yaml)"
+        raise ConfigError(f"{path}: no run in this folder{there}")
     if state == "finished":
         return None
     with folder.lock() as lock:
@@ -194,7 +196,8 @@ def _continued(folder: RunFolder, lock: Lock, path: Path, plugins: Sequence[str]
     check_unchanged(record.inputs, fresh.inputs, path)
     work = _Work(folder, lock, config, data, callbacks)
     work.remove_foreign_state()
-    work.before = fresh.seconds = _seconds_in_checkpoint(folder, record)
+    if folder.checkpoint.exists() and record.started is not None:  # later work is repeated
+        work.before = fresh.seconds = record.seconds + max(0.0, folder.checkpoint.stat().st_mtime - record.started)
     folder.write_record(fresh)
     return work
 
@@ -343,15 +346,3 @@ def check_unchanged(then: Mapping[str, str], now: Mapping[str, str], path: Path)
                 f"{path}: {name} has changed since the run started; put the old file back, "
                 "or start again with `deepir run ... --overwrite`"
             )
-
-
-def _seconds_in_checkpoint(folder: RunFolder, record: Record) -> float:
-    """Seconds of work that the checkpoint holds; later work is repeated."""
-    if not folder.checkpoint.exists() or record.started is None:
-        return 0.0
-    return record.seconds + max(0.0, folder.checkpoint.stat().st_mtime - record.started)
-
-
-def _known_runs(folder: Path) -> str:
-    found = sorted(str(each.parent) for each in folder.glob("*/config.yaml")) if folder.is_dir() else []
-    return f"; runs here: {', '.join(found[:5])}" if found else " (a run is a folder with config.yaml)"

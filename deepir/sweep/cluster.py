@@ -113,7 +113,8 @@ def finish_cell(cell: Cell, plugins: Sequence[str] = ()) -> str | None:
             for each in plugins:
                 load_plugin(each)
             _warm_up(cell.config)
-            _forget_peak_memory()
+            with suppress(OSError):  # on Linux; elsewhere the peak is that of all cells so far
+                Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
             state = cell.folder.state()
             if state == "interrupted":
                 resume(cell.folder.path, plugins=plugins)
@@ -138,9 +139,3 @@ def _warm_up(config: Config) -> None:
     with suppress(Exception):  # the run itself says what is wrong
         frames = simulate(settings=Settings(shape=WARM_UP_SHAPE, n_frames=4)).frames
         execute(small, prepare(small, frames))
-
-
-def _forget_peak_memory() -> None:
-    """Reset this process's peak memory on Linux; elsewhere the peak is that of all cells so far."""
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")

@@ -58,7 +58,6 @@ def test_other_scenes_have_none(seed):
 
 
 def test_clouds_have_none():
-    """Their differences hardly fall between two places that are alike."""
     clean = {"shading": 0.0, "dead_pixels": 0.0, "level_drift": 0.0, "photons": 1000.0, "read_noise": 0.002}
     assert period(simulate(sky(20, (430, 500)), Settings(n_frames=5, **clean), seed=102).frames) is None
 

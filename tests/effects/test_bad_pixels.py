@@ -194,7 +194,6 @@ def spots(seed, shape=(300, 380)):
 
 @pytest.mark.parametrize("seed", [5, pytest.param(7, marks=pytest.mark.slow)])
 def test_lamps_in_the_dark_are_seen_as_they_are(seed):
-    """Taken for what moves, they cost these bursts 5 and 10 dB, and good pixels before them were given up."""
     tones = {"shape": (96, 128), "counts": False, "photons": 1000.0, "read_noise": 0.002}
     lines = {"gain_column": 0.1, "gain_pixel": 0.02, "offset_pixel": 0.0, "offset_column": 0.0, "offset_row": 0.0}
     sim = simulate(spots(seed), Settings(**PLAIN | tones | lines), seed=seed)

@@ -31,7 +31,6 @@ def test_a_response_that_drifts_is_evened_out(seed):
 @pytest.mark.parametrize("counts", [False, True])
 @pytest.mark.parametrize("ratio", [1.1, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_an_exposure_that_alternates_is_evened_out(ratio, counts):
-    """Levels that alternate with the camera's motion would else stand in the scene as a slope: 17 to 25 dB."""
     sim = burst(1, counts=counts, shading=0.1, dead_pixels=0.002)
     frames = sim.frames * np.where(np.arange(5) % 2, ratio, 1.0)[:, None, None]
     result = deepir.run("nuc", frames=frames, threads=1)

@@ -19,7 +19,6 @@ def test_a_drift_is_found_but_for_a_slope_that_looks_the_same(n_frames, share):
 
 @pytest.mark.parametrize("seed", [1, 3])
 def test_a_small_drift_is_found_beside_strong_columns(seed):
-    """Lines enter and leave the view, which by chance looks like drift: not as much as their strength would let."""
     result, sim = solved(seed=seed, n_frames=6, level_drift=0.004, gain_column=0.03, offset_column=0.1)
     apart = result.level - (sim.truth.level - sim.truth.level.mean())
     assert np.abs(apart).max() < 0.2 * np.ptp(sim.truth.level)
@@ -59,7 +58,6 @@ def test_a_slope_of_the_sensor_is_separated_from_a_drift_and_from_the_scene(n_fr
 
 @pytest.mark.parametrize(("seed", "counts"), [(3, True), pytest.param(4, False, marks=pytest.mark.slow)])
 def test_frames_that_are_smoothly_wrong_each_by_itself_are_not_shaded(seed, counts):
-    """By one per cent of what they show, as parallax or a lens that breathes makes them."""
     sim = burst(seed, n_frames=6, shape=(96, 128), counts=counts)
     rng, (y, x) = np.random.default_rng(seed), np.mgrid[-1:1:96j, -1:1:128j]
     wrong = sum(rng.normal(size=(6, 1, 1)) * each for each in (x, y, x * y, x**2 - 1 / 3))

@@ -66,7 +66,6 @@ def test_stuck_pixels_that_he_covers_in_one_frame_are_found():
 
 
 def test_who_walks_through_five_frames_is_said_and_shown_and_costs_little():
-    """Left to the robust weights, he cost the first of these bursts 7 dB."""
     costs = []
     picture, walked = procedural(2, (300, 380)), dataclasses.replace(TONES, walker_speed=4.0, **WALKER)
     for seed in (13, 14):
@@ -99,7 +98,6 @@ def test_who_alone_sees_the_scene_is_not_doubted_for_that():
 
 @pytest.mark.parametrize("seed", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_who_is_far_above_the_noise_is_not_built_into_scene_and_pattern(seed):
-    """He covers half of his way in three frames of five; gains there had come to zero before he was found: 25 dB."""
     settings = Settings(shape=(160, 208), n_frames=5, walker=0.5, walker_speed=8.0, read_noise=0.001)
     sim = simulate(procedural(1, (700, 900)), settings, seed=seed)
     result = deepir.run("nuc", frames=sim.frames, threads=1)
@@ -132,7 +130,6 @@ def found(flux, where):
 
 
 def test_places_that_he_covers_in_most_frames_are_his_too():
-    """He is 14 px wide: some columns are his in four frames of five."""
     at = [(20, 20 + step) for step in (0, 4, 8, 12, 16)]
     flux, where = walk(torch.full(SHAPE, 0.3), torch.tensor(0.8), at)
     assert (where.sum(0) == 4).any()

@@ -105,7 +105,6 @@ def test_a_pixel_that_is_stuck_at_the_end_is_distinguished_from_what_is_saturate
 
 
 def test_pixels_of_a_large_offset_that_are_always_cut_off_do_not_spoil_the_rest():
-    """Such pixels bound no single place, and what is left is no sign of a shaded gain."""
     burst = simulate(settings=Settings(n_frames=6, shape=(80, 96), counts=True, pedestal=15250.0), seed=31)
     assert (burst.frames >= burst.frames.max()).all(0).mean() > 0.05
     inner = (slice(2, -2), slice(2, -2))

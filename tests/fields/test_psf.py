@@ -92,6 +92,13 @@ def test_a_map_of_another_size_is_refused_with_both_sizes(tmp_path):
         Constant((1, 1, 6, 7), 1.0, path="a.npy", value=1.0)
 
 
+def test_zeros_of_a_known_map_are_zeros(tmp_path):
+    np.save(tmp_path / "weights.npy", np.array([0, 1, 2, 3.0])[:, None, None])
+    known = Constant((4, 1, 1, 1), path=str(tmp_path / "weights.npy"))
+    assert known().flatten().tolist() == [0, 1, 2, 3]
+    assert known.starting_at(torch.ones(4, 1, 1, 1))().sum() == 4
+
+
 def test_an_airy_pattern_is_that_of_bessels_function():
     at = np.arange(-8, 9)
     v = special.jn_zeros(1, 1)[0] * np.hypot(at, at[:, None]) / 2.5 + 1e-9

@@ -58,13 +58,6 @@ def test_right_samples_are_not_taken_for_swapped_ones(frames, change):
     assert not are_swapped(change(frames))
 
 
-def test_counts_that_have_become_negative_are_read_as_they_were(tmp_path, frames, caplog):
-    high = (frames.astype(int) - int(np.median(frames)) + 2**15).astype(np.uint16)
-    np.save(tmp_path / "a.npy", high.view(np.int16))
-    assert_read(tmp_path / "a.npy", high)
-    assert "counts above 32767 are stored as negative ones" in caplog.text
-
-
 def test_signed_numbers_stay_signed(frames):
     celsius = (frames.astype(int) - int(np.median(frames))).astype(np.int16)
     assert wrapped_type(celsius) is None
@@ -72,12 +65,18 @@ def test_signed_numbers_stay_signed(frames):
     assert wrapped_type(celsius) is None
 
 
-@pytest.mark.parametrize("share", [0.01, 0.3, 0.9])
-def test_counts_below_zero_that_have_become_large_are_read_as_they_were(tmp_path, frames, caplog, share):
-    low = frames.astype(int) - int(np.quantile(frames, share))
-    np.save(tmp_path / "a.npy", low.astype(np.uint16))
-    assert_read(tmp_path / "a.npy", low)
-    assert "counts below zero are stored as large ones" in caplog.text
+@pytest.mark.parametrize(
+    ("share", "zero", "stored", "said"),
+    [
+        (0.5, 2**15, np.int16, "counts above 32767 are stored as negative ones"),
+        *((share, 0, np.uint16, "counts below zero are stored as large ones") for share in (0.01, 0.3, 0.9)),
+    ],
+)
+def test_counts_that_have_wrapped_are_read_as_they_were(tmp_path, frames, caplog, share, zero, stored, said):
+    true = frames.astype(int) - int(np.quantile(frames, share)) + zero
+    np.save(tmp_path / "a.npy", true.astype(stored))
+    assert_read(tmp_path / "a.npy", true)
+    assert said in caplog.text
 
 
 def test_a_hot_object_and_pixels_at_full_scale_have_not_wrapped(frames):

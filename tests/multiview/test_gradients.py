@@ -26,7 +26,6 @@ def matrix(edges):
 
 
 def test_the_normal_equations_are_those_of_weighted_least_squares(edges):
-    """Against the sum over all frames and edges, written out."""
     pattern = 0.1 * torch.randn(2, *SIZE, dtype=torch.float64)
     other = torch.randn(2, *SIZE, dtype=torch.float64)
     scales, doubts = edges.scales.clone(), [each.clone() for each in edges.doubt]

@@ -23,6 +23,12 @@ def test_the_last_written_is_applied_first():
     assert torch.equal(chain(x, **{"blur.psf": psf}), Downsample(factor=2)(Blur(radius=1)(x, psf=psf)))
 
 
+def test_a_slot_that_no_stage_has_is_refused():
+    for wrong in ("gain", "senser.gain"):
+        with pytest.raises(ValueError, match=rf"no slot '{wrong}' in this chain, which has: sensor\.gain"):
+            (Sensor() @ Downsample(factor=2)).at((1, 1, 8, 8), **{wrong: torch.ones(1, 1, 4, 4)})
+
+
 def test_composition_is_associative():
     a, b, c = Blur(radius=1), Add(), Sensor()
     names = ["blur", "add", "sensor"]

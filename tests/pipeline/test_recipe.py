@@ -51,7 +51,6 @@ def test_every_effect_has_defaults_and_documented_options(kind):
 
 
 def test_every_effect_of_nuc_can_be_left_out(burst):
-    """One burst without any of them: a plain problem is left, which still runs."""
     off = [f"effects.{name}=false" for name in type(make_recipe(load("nuc"))).effect_names]
     result = deepir.run("nuc", *off, "prior=tv", "solver.max_iterations=3", frames=burst.frames)
     assert np.isfinite(result.scene).all()

@@ -67,7 +67,6 @@ def film():
 
 @pytest.mark.parametrize("beside", [True, False])
 def test_a_low_order_part_without_evidence_and_registration_is_left_to_the_scenes(film, beside):
-    """The estimate has taken a slope of the scenes for the sensor's."""
     level = film.frames.mean()
     slope = 15 * film.truth.noise * np.linspace(-1, 1, 64)[:, None]
     offset = film.truth.offset.mean(0) + (film.truth.gain - 1) * level + slope

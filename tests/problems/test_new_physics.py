@@ -46,15 +46,16 @@ def psnr(found, truth):
     return -10 * np.log10(np.mean((np.squeeze(found) - truth) ** 2))
 
 
-def test_two_scenes_are_told_apart_by_a_filter_wheel(noisy):
+@pytest.mark.parametrize("unit", [1, 1000])
+def test_two_scenes_are_told_apart_by_a_filter_wheel_whatever_the_unit(noisy, unit):
     x, s, a = picture("camera"), picture("coins"), np.array([1, 0.7, 0.4, 0.1])[:, None, None]
-    noisy(a * x + (1.1 - a) * s, a=a, b=1.1 - a)
+    noisy(unit * (a * x + (1.1 - a) * s), unit * NOISE, a=a, b=1.1 - a)
     result = run(PAGE["wheel.yaml"])
     direct = np.linalg.lstsq(
         np.stack([a.ravel(), 1.1 - a.ravel()], 1), np.load("frames.npy").reshape(4, -1), rcond=None
     )[0]
     for found, truth, unregularised in zip((result.scene, result.extra["s"]), (x, s), direct, strict=True):
-        assert psnr(found, truth) > psnr(unregularised.reshape(SIZE), truth) + 1
+        assert psnr(found / unit, truth) > psnr(unregularised.reshape(SIZE) / unit, truth) + 1
 
 
 def test_the_weight_that_held_out_samples_choose_is_near_the_best(noisy):

@@ -96,7 +96,6 @@ def test_lost_samples_or_rows_and_the_bars_of_a_film_cost_little(rows):
 
 @pytest.mark.parametrize("seed", [2, 3])
 def test_small_frames_that_bend_move_by_homographies(seed):
-    """Registration takes their motion for a rigid one: 43 dB."""
     sim = simulate(None, Settings(motion="homography", n_frames=6, shape=(64, 80), max_shift=5.0), seed=seed)
     found, told = (
         deepir.run("nuc", f"physics.warp.motion.type={kind}", frames=sim.frames, threads=1)

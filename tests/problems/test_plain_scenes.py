@@ -56,7 +56,6 @@ def plain_scenes():
 
 @pytest.mark.parametrize(("camera", "scene", "seeds", "least"), plain_scenes().values(), ids=plain_scenes())
 def test_the_motion_of_a_plain_scene_is_found_once_the_pattern_is_known(camera, scene, seeds, least):
-    """Registration, which does not know the pattern, is 1 to 2.4 px off: 43 to 45 dB."""
     sims = [simulate(sky(scene, (430, 500)), camera, seed=seed) for seed in seeds]
     found = [scores(deepir.run("nuc", frames=sim.frames, threads=1).scene, sim.truth.scene) for sim in sims]
     assert np.median([each["psnr_aligned"] for each in found]) > least

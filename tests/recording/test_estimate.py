@@ -90,6 +90,13 @@ def test_a_person_who_walks_through_is_noted(walk, corrected):
     assert [any("moves by itself" in each for each in some) for some in messages] == [False, True]
 
 
+def test_motion_too_small_to_tell_shading_and_scene_apart_is_noted(walk):
+    places, scene = np.cumsum(np.random.default_rng(4).normal(0, 0.3, (40, 2)), axis=0), 4 * (walk.scenes[0] - 8000)
+    shown = np.stack([ndimage.shift(scene, place, mode="nearest") for place in places]) + walk.fine + walk.slow
+    frames = shown + 3 * np.random.default_rng(0).standard_normal(shown.shape)
+    assert any("moves by little" in each for each in correct(frames.astype(np.float32)).estimate.messages)
+
+
 @pytest.mark.parametrize("way", ["sideways", pytest.param("tilts", marks=pytest.mark.slow)])
 def test_a_camera_that_turns_one_way_separates_the_shading_along_it_and_says_so(walk, way):
     frames = np.stack([np.roll(walk.scenes[0], 3 * k, axis=1) for k in range(40)])
@@ -137,11 +144,17 @@ def at_rest_under_changing_gains(walk):
 
 
 def at_rest_while_cars_pass(walk):
-    """The camera stands for most of the recording, and nothing moves but the cars."""
     return simulate_recording(RecordingSettings(kind="pan", n_frames=100, shape=(96, 128)), seed=100).frames
 
 
-@pytest.mark.parametrize("recording", [at_rest, at_rest_under_changing_gains, at_rest_while_cars_pass])
+def one_walks_by(walk):
+    y, x = np.indices(walk.fine.shape)
+    person = np.stack([np.exp(-((((x + 10 - k) / 7) ** 2 + ((y - 50) / 26) ** 2) ** 4)) for k in range(60)])
+    shown = walk.scenes[0] * (1 - person) + 10200 * person + walk.fine + walk.slow
+    return shown + 5 * np.random.default_rng(0).standard_normal(shown.shape)
+
+
+@pytest.mark.parametrize("recording", [at_rest, at_rest_under_changing_gains, at_rest_while_cars_pass, one_walks_by])
 def test_a_camera_at_rest_is_refused(walk, recording):
     with pytest.raises(DataError, match="stands still"):
         correct(recording(walk).round().astype(np.uint16))

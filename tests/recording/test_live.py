@@ -42,7 +42,6 @@ def left(frames, scenes, walk):
 
 
 def test_the_pattern_goes_while_the_camera_moves_and_another_is_noticed_and_learned_anew(walk, corrector):
-    """As after a closure of the shutter."""
     corrected = [corrector(frame) for frame in walk.frames]
     assert all(frame.dtype == np.float32 for frame in corrected)
     assert np.array_equal(corrected[0], walk.frames[0])
@@ -75,7 +74,6 @@ def test_nothing_is_learned_while_the_camera_stands_still(walk, corrector):
 
 
 def test_maps_of_an_earlier_day_are_taken_at_once_if_they_fit(walk):
-    """They do not after a closure of the shutter, or of another camera: frames pass as they are."""
     maps = CorrectionMaps(walk.gain, walk.fine + walk.slow + 8000 * (1 - walk.gain), walk.bad)
     wrong = 300 * np.random.default_rng(1).standard_normal(walk.gain.shape)
     frame = walk.frames[0]
@@ -86,7 +84,6 @@ def test_maps_of_an_earlier_day_are_taken_at_once_if_they_fit(walk):
 
 
 def test_new_maps_fade_in(walk):
-    """So that the picture does not jump."""
     good, fair = (
         SensorEstimate(walk.gain, part * (walk.fine + walk.slow), walk.bad, 8000.0, None, "gain", {})
         for part in (1.0, 0.6)
@@ -104,7 +101,6 @@ def test_new_maps_fade_in(walk):
 
 
 def test_the_first_estimate_with_shading_is_taken_though_its_fine_part_is_no_better(walk):
-    """Gradients, by which estimates are compared, hardly show shading."""
     error = 0.5 * walk.fine.std() * np.random.default_rng(0).standard_normal(walk.fine.shape)
     quick, whole, wrong = (
         Segment(0, 10, SensorEstimate(np.ones_like(walk.gain), offset, walk.bad, 8000.0, None, kept, 0.0))
@@ -203,7 +199,6 @@ def test_an_estimate_comes_from_a_separate_process_and_one_that_is_killed_is_rep
 
 
 def test_an_estimate_that_is_cancelled_does_not_come(walk):
-    """And the next one does not wait for it, but for the process that takes the place of the former."""
     estimator = ProcessEstimator()
 
     def wait():

@@ -105,7 +105,6 @@ def test_a_large_frame_is_registered_from_half_its_size(monkeypatch):
 
 @pytest.mark.parametrize("shape", [(20, 400), (400, 20)])
 def test_a_strip_is_registered_at_its_own_size(shape):
-    """Means over blocks, as of other large frames, would leave nothing across it."""
     _, frames = recorded(None, **PLAIN | SMALL | {"n_frames": 6, "shape": shape})
     assert register(frames).used.sum() > 2
 

@@ -53,7 +53,6 @@ def test_a_seed_gives_the_burst_that_it_gave_in_version_0_1(settings, seed, mean
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_an_effect_touches_nothing_but_its_own(effect):
-    """Motion, level and scene are the same to the bit; the sensor is, but for its own effects."""
     before, after = (having(Settings(**SMALL, photons=500.0), **changes) for changes in ({}, {effect: EFFECTS[effect]}))
     for name in ("motion", "level", "scene", "scale"):
         np.testing.assert_array_equal(getattr(before.truth, name), getattr(after.truth, name))
@@ -162,7 +161,6 @@ def test_a_saved_burst_reads_without_pickle(tmp_path):
 
 
 def test_all_frames_fit_at_the_largest_scale():
-    """The chosen scale is the largest: one per cent more does not fit."""
     picture = np.full((256, 300), 0.5)
     scale = simulate(picture, clean(shape=(96, 96))).truth.scale
     with pytest.raises(DataError):

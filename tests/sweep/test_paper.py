@@ -32,7 +32,6 @@ def test_means_and_deviations_are_those_of_the_seeds():
 
 
 def test_a_difference_below_its_error_is_no_victory():
-    """Seeds differ by far more than methods: paired differences decide."""
     base = [25.0, 31.0, 38.0, 29.0]
     rows = [row("best", k, psnr) for k, psnr in enumerate(base)]
     rows += [row("equal", k, psnr - d) for k, (psnr, d) in enumerate(zip(base, (0.3, -0.2, 0.2, -0.1), strict=True))]

@@ -173,7 +173,10 @@ def read_raw_plane(found: Records, path: Path) -> Array:
     width, height = struct.unpack_from(f"{order}HH", record, 2)
     packed = record[PIXELS_OFFSET:]
     if packed.startswith(b"\x89PNG"):
-        plane = _in_order(decode_png(packed, path))
+        # Most cameras write little-endian counts, against the standard, some do not: the smoother order. The median in
+        # the record does not say which: on some it is a level that the user has set.
+        counts = decode_png(packed, path)
+        plane = min((counts.byteswap(), counts), key=mean_step)
     elif packed.startswith(jpeg.JPEG_SIGNATURE):
         plane = _jpeg_ls(packed, path)
     else:
@@ -217,15 +220,6 @@ def read_radiometry(found: Records) -> Planck | None:
 def byte_order(record: bytes) -> str:
     """Byte order of a record, which begins with the number 2."""
     return "<" if record[:2] == b"\2\0" else ">"
-
-
-def _in_order(plane: Array) -> Array:
-    """The counts (h, w) of a PNG in the order of bytes that makes them smoother.
-
-    Most cameras write little-endian counts, against the standard, some do not. The median in the camera's record does
-    not say which: on some it is a level that the user has set.
-    """
-    return min((plane.byteswap(), plane), key=mean_step)
 
 
 def _jpeg_ls(packed: bytes, path: Path) -> Array:

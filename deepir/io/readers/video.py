@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,12 @@ class Video(Reader):
         with _opened(path) as container:
             if not container.streams.video:
                 raise DataError(f"{path}: a film without pictures")
-            film = _grey_film(container.streams.video)
+            films = container.streams.video
+            # The first grey one, as of a thermal camera beside another.
+            greys = (
+                each for each in films if each.codec_context and str(each.codec_context.pix_fmt).startswith("gray")
+            )
+            film = next(greys, films[0])
             context = film.codec_context
             if context is None and (size := _y16_size(path)) is not None:
                 check_size(path, 2 * math.prod(size), path.stat().st_size)
@@ -84,12 +89,6 @@ class Video(Reader):
                 pixels = frame.to_ndarray(format="rgb48le" if deep else "rgb24")
                 coloured = np.ma.getmaskarray(to_grey(pixels, path, tolerance=LOSSY_TOLERANCE))
                 yield masked(counts, coloured)
-
-
-def _grey_film(films: Sequence[Any]) -> Any:
-    """The first grey one of the films in a file, as of a thermal camera beside another; else the first."""
-    grey = (each for each in films if each.codec_context and str(each.codec_context.pix_fmt).startswith("gray"))
-    return next(grey, films[0])
 
 
 def _counted(container: Any, film: Any, path: Path) -> Iterator[Any]:

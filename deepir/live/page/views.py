@@ -106,7 +106,8 @@ def respond(session: Session, request: ViewerRequest) -> tuple[list[bytes], dict
         return [], status
     status |= vars(newest.status) | {"state": newest.status.state, "number": newest.number}
     status |= {"rate": newest.rate, "delay": 1000 * newest.delay, "dropped": newest.dropped}
-    status["unit"] = _unit(newest, session)
+    whole = "counts" if newest.raw.dtype.kind in "iu" else ""
+    status["unit"] = str(unit_metadata(session.radiometry).get("unit", whole))
     if request.point:
         status["spot"] = _spot(newest, session, *request.point)
     pictures = []
@@ -126,12 +127,6 @@ def _spot(frame: CorrectedFrame, session: Session, x: float, y: float) -> dict[s
     raw, corrected = (each[row, column] for each in (frame.raw, frame.corrected))
     found = {"x": column, "y": row, "raw": raw, "corrected": corrected}
     return found | {"kelvin": _kelvin(corrected, session)}
-
-
-def _unit(frame: CorrectedFrame, session: Session) -> str:
-    """Of the values; empty where it is not known."""
-    whole = "counts" if frame.raw.dtype.kind in "iu" else ""
-    return str(unit_metadata(session.radiometry).get("unit", whole))
 
 
 def _kelvin(values: Any, session: Session) -> Any:

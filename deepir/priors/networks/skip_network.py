@@ -177,18 +177,15 @@ class Skip(nn.Module):
         """What the scale `i` makes of the one below, doubled, with its own skip connection skip it."""
         first, mixed = self.rise[i].children()
         convolution, *after = first.children()
-        if self._fused_is_faster(deep):
+        published = self.up == "bilinear" and self.pad == "reflect"
+        large = deep.shape[1] >= MIN_FUSED_CHANNELS and deep[0, 0].numel() >= MIN_FUSED_PIXELS
+        if published and large and is_compiled(deep):
             x = upsample_join_convolve(skip, deep, self.join[i], convolution)  # type: ignore[arg-type]
         else:
             x = convolution(self.join[i](torch.cat((skip, self._upsample(deep)), 1)))
         for layer in (*after, mixed):
             x = layer(x)
         return x
-
-    def _fused_is_faster(self, deep: Tensor) -> bool:
-        published = self.up == "bilinear" and self.pad == "reflect"
-        large = deep.shape[1] >= MIN_FUSED_CHANNELS and deep[0, 0].numel() >= MIN_FUSED_PIXELS
-        return published and large and is_compiled(deep)
 
     def _upsample(self, x: Tensor) -> Tensor:
         """`x` with twice the height and width, in its own precision."""

@@ -199,7 +199,6 @@ def test_options_are_checked(kind, options):
 
 @pytest.mark.parametrize("name", [name for name, each in components("field").items() if issubclass(each, Network)])
 def test_scenes_of_their_own_are_drawn_each(name):
-    """And as many steps: one network may draw them all."""
     kind, shape = components("field")[name], (3, 1, 12, 14)
     field = kind(shape, **kind.example_options)
     assert field().shape == shape
