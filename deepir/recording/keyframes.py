@@ -123,7 +123,8 @@ def _pictures(keyframes: Keyframes) -> Keyframes:
     """The keyframes without those of samples that say nothing of each other, as numbers of a calibration do not."""
     some = keyframes.frames[:, :SHORT_SIDE]  # rows enough
     detail = np.array([noise_deviation(frame[None]) for frame in some])
-    odd = (detail > MAX_DETAIL_RATIO * np.median(detail)) & (detail > MAX_INDEPENDENCE * np.nanstd(some, axis=(1, 2)))
+    spread = np.ma.masked_invalid(some).std((1, 2)).filled(np.inf)
+    odd = (detail > MAX_DETAIL_RATIO * np.median(detail)) & (detail > MAX_INDEPENDENCE * spread)
     if odd.any():
         numbers = ", ".join(map(str, keyframes.numbers[odd]))
         warn_once(f"frame(s) {numbers} are no pictures like the others and are left out of the estimate")
