@@ -115,8 +115,8 @@ class DiagonalPreconditioner:
 
     def __init__(self, problem: AnyProblem, parameters: Sequence[nn.Parameter]) -> None:
         curvature = _mean_curvatures(problem, parameters)
-        curvature = torch.where(curvature > 0, curvature, curvature.max().clamp(min=1e-30))
-        of_scene = max((each.numel(), float(c)) for c, each in zip(curvature, parameters, strict=True))[1]
+        of_scene = max((p.numel() * (c > 0), c) for c, p in zip(curvature.tolist(), parameters, strict=True))[1] or 1.0
+        curvature = torch.where(curvature > 0, curvature, of_scene)  # of what penalties alone hold
         # Where the scene follows, an unknown that all samples share has less curvature than alone.
         curvature = torch.where(curvature > of_scene, (curvature * of_scene).sqrt(), curvature)
         scales = [each.new_full((each.numel(),), 1 / float(c)) for c, each in zip(curvature, parameters, strict=True)]

@@ -274,8 +274,8 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     offset = fine_part(*samples.halves)
     whole = (offset + low_order_part(samples.pattern))[None].astype(np.float32)
     start = _averaged(whole, ~samples.bad[None], factor)[0][0]
-    low = solve_low_order(small, keyframes.neighbours, start)
-    if low is None:
+    low = None if keyframes.eight_bits else solve_low_order(small, keyframes.neighbours, start)
+    if low is None:  # under a gain control, whose frames have gains of their own, nothing is tried
         return _fine_offset(samples, offset, former)
     return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
 
