@@ -37,9 +37,6 @@ DISPLACEMENT_ERROR = 0.4  # px, standard deviation
 BLOCK, MAX_UNEVENNESS = 16, 1.2
 MIN_KNOWN = 0.05  # share of a frame whose displacement is known, so that the frame is used
 LEVEL_STEP = 20.0  # standard deviation of the levels' steps, in sigmas of the noise
-#: Strength of what the low-order part has beside a multiple of the scenes' mean, which they leave in it, relative to
-#: both, from which it is the sensor's: 0.1 to 0.76 in 54 drives without shading (once 0.83), 0.8 to 2.8 with.
-MIN_BESIDE_SCENE = 0.78
 
 
 class DisplacedFrames:
@@ -112,9 +109,10 @@ def solve_low_order(frames: Array, neighbours: Sequence[Sequence[int]], start: A
         step, _ = low_order_step(sets, modes, prior, offset, np.ones(size))
         offset = offset + step
     found, scene = (dct(each)[modes.low] for each in (offset, frames.mean(0) - offset))
+    # What the scenes share stays in it, mostly a multiple of their mean: what is stronger beside it is the sensor's.
     multiple = np.clip((found @ scene) / max(scene @ scene, 1e-30), 0, 1) * scene
     beside = found - multiple
-    if beside @ beside < MIN_BESIDE_SCENE**2 * (scene @ scene + multiple @ multiple):
+    if beside @ beside < scene @ scene + multiple @ multiple:
         return None
     return low_order_part(offset)
 
