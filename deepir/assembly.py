@@ -160,8 +160,9 @@ def _start(field: Field, init: Any, motion: Tensor | None, geometry: Geometry, w
     elif isinstance(init, int | float) and not isinstance(init, bool):
         field.init_from(torch.full(field.shape, float(init)))
     elif isinstance(init, str):
-        value = read_map(init)
-        value = value.reshape(field.shape) if value.numel() == math.prod(field.shape) else value.squeeze()
+        value = read_map(init).squeeze()
+        alike = list(value.shape) == [side for side in field.shape if side > 1]
+        value = value.reshape(field.shape) if alike else value
         try:
             field.init_from(value)
         except RuntimeError as error:

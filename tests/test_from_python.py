@@ -113,7 +113,6 @@ def test_frames_of_several_channels_are_refused_in_a_sentence_where_one_is_wante
 
 
 def test_two_bands_are_solved_together_from_parts():
-    """A band in which little shows takes its motion from the other."""
     frames, size, canvas = 4, (16, 20), (24, 28)
     maps, motions = (1, 2, *size), (frames, 3, 3)
     y, x = torch.meshgrid(*(torch.arange(side) / 3.0 for side in canvas), indexing="ij")

@@ -44,7 +44,7 @@ MAX_CANCELLATION = 1.3
 #: at most 0.08 is left; 0.13 to 0.2 in six (0.18 to 0.72 left), 0.07 to 0.18 where a hand trembles (seeds 0 to 2).
 SETTLED = 0.05
 MIN_MOVING = 0.001  # share of the samples that show what moves by itself, from which it is said
-MIN_CHANGE_SIGMAS = 2.2  # of `changes` between neighbouring keyframes, below which nothing has moved
+MIN_CHANGE_SIGMAS = 2.2  # of `changes` between keyframes, below which nothing has moved
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
 ONE_WAY = (
@@ -172,7 +172,7 @@ def estimate_sensor(
     found = _of_registered(samples, keyframes, former, jumps)
     if found is not None:
         return found
-    _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
+    _demand_motion(samples.frames, samples.pattern, _neighbouring(keyframes))
     return replace(_of_displaced(samples, keyframes, former), jumps=tuple(jumps))
 
 
@@ -183,7 +183,7 @@ def estimate_fine_offset(keyframes: Keyframes) -> SensorEstimate:
         DataError: As `estimate_sensor`.
     """
     samples = _Samples.of(keyframes)
-    _demand_motion(samples.frames, samples.pattern, keyframes.neighbours)
+    _demand_motion(samples.frames, samples.pattern, _neighbouring(keyframes))
     return _estimate(samples, SensorSolution.of_offset(fine_part(*samples.halves)), FINE_OFFSET)
 
 
@@ -209,8 +209,9 @@ def _of_registered(
             return _fine_offset(samples, fine_part(*samples.halves), former) if turns else None
     found, solution = best
     numbers, bursts = found.numbers, found.bursts
-    if solution.motion_error > MOTION_ERRORS[-1] and _at_rest(found, solution.offset):
-        raise CameraAtRestError(AT_REST)  # one who walks by would pass for the scene, and the scene for the pattern
+    if solution.motion_error > MOTION_ERRORS[-1]:  # one who walks by may pass for the scene, that for the pattern
+        references = [(own, own[burst.reference]) for burst, own in zip(bursts, found.frames, strict=True)]
+        _demand_motion(small, solution.offset, [(k, one) for own, one in references for k in own if k != one])
     last_change = solution.last_change
     moving = [burst.moving_share(np.subtract(*burst.compared(solution.offset, solution.gain))) for burst in bursts]
     if factor > 1:
@@ -253,13 +254,6 @@ def _holds(found: Bursts, solution: SensorSolution, mean: Array) -> bool:
     return fit and left <= MAX_CANCELLATION * before
 
 
-def _at_rest(found: Bursts, offset: Array) -> bool:
-    """Whether most of each frame shows what that of the reference does, but for noise and level."""
-    pairs = [[(k, each.reference) for k in range(len(each.frames))] for each in found.bursts]
-    moved = [changes(each.frames, mine, offset) for each, mine in zip(found.bursts, pairs, strict=True)]
-    return float(np.median(np.concatenate(moved))) < MIN_CHANGE_SIGMAS
-
-
 def _one_way(tells: Array) -> tuple[str, str, str] | None:
     """How a camera moves along one axis alone, by the modes (h, w) that its motion tells."""
     along = (tells[1:, 0], tells[0, 1:])
@@ -274,8 +268,8 @@ def _of_displaced(samples: _Samples, keyframes: Keyframes, former: CorrectionMap
     offset = fine_part(*samples.halves)
     whole = (offset + low_order_part(samples.pattern))[None].astype(np.float32)
     start = _averaged(whole, ~samples.bad[None], factor)[0][0]
-    low = None if keyframes.eight_bits else solve_low_order(small, keyframes.neighbours, start)
-    if low is None:  # under a gain control, whose frames have gains of their own, nothing is tried
+    low = solve_low_order(small, keyframes.neighbours, start)
+    if low is None:
         return _fine_offset(samples, offset, former)
     return _estimate(samples, SensorSolution.of_offset(offset + enlarged(low, size, factor)), "offset")
 
@@ -370,9 +364,14 @@ def _unsaturated(frames: Array) -> Array:
     return np.asarray((frames > low) & (frames < high))
 
 
-def _demand_motion(frames: Array, pattern: Array, neighbours: Sequence[Sequence[int]]) -> None:
-    """Raise `CameraAtRestError` if neighbouring frames, (N, h, w), differ by little but noise and level."""
-    pairs = [(k, other) for k, others in enumerate(neighbours) for other in others if other > k]
-    pairs = pairs or [(k, k + 1) for k in range(len(frames) - 1)]
-    if np.median(changes(frames, spread(pairs, len(frames)), pattern)) < MIN_CHANGE_SIGMAS:
+def _neighbouring(keyframes: Keyframes) -> list[tuple[int, int]]:
+    """Pairs of keyframes that may show the same things, about as many as there are keyframes."""
+    count = len(keyframes.frames)
+    pairs = [(k, other) for k, others in enumerate(keyframes.neighbours) for other in others if other > k]
+    return spread(pairs or [(k, k + 1) for k in range(count - 1)], count)
+
+
+def _demand_motion(frames: Array, pattern: Array, pairs: Sequence[tuple[int, int]]) -> None:
+    """Raise `CameraAtRestError` if most pairs of frames (N, h, w) differ by little but noise and level."""
+    if np.median(changes(frames, pairs, pattern)) < MIN_CHANGE_SIGMAS:
         raise CameraAtRestError(AT_REST)

@@ -94,7 +94,6 @@ def test_unsharp_frames_are_numbered():
 
 @pytest.mark.parametrize("motion", [1.0, 3.0])
 def test_interlaced_frames_are_reported_and_every_second_row_of_them_is_sound(motion):
-    """Five frames, each with the even rows of one time and the odd rows of another."""
     camera = Settings(n_frames=10, shape=(80, 96), max_shift=motion, shading=0.0, dead_pixels=0.0)
     frames = simulate(None, camera, seed=3).frames.astype(np.float32)
     both = frames[::2].copy()

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage, special
 
-from deepir.assembly import make_field
+from deepir.assembly import make_field, start_field
 from deepir.errors import ConfigError
+from deepir.fields.base import Pixels
 from deepir.fields.constant import Constant
 from deepir.fields.psf import Airy, Defocus, Gaussian, Kernel, MotionBlur, Simplex
 from deepir.operators import Blur
@@ -92,11 +93,17 @@ def test_a_map_of_another_size_is_refused_with_both_sizes(tmp_path):
         Constant((1, 1, 6, 7), 1.0, path="a.npy", value=1.0)
 
 
-def test_zeros_of_a_known_map_are_zeros(tmp_path):
+def test_zeros_of_a_map_are_zeros_and_a_turned_one_is_refused(tmp_path):
     np.save(tmp_path / "weights.npy", np.array([0, 1, 2, 3.0])[:, None, None])
     known = Constant((4, 1, 1, 1), path=str(tmp_path / "weights.npy"))
     assert known().flatten().tolist() == [0, 1, 2, 3]
     assert known.starting_at(torch.ones(4, 1, 1, 1))().sum() == 4
+    start = {"init": str(tmp_path / "weights.npy")}
+    start_field(field := Pixels((4, 1, 1, 1)), start, None, None, "weight")
+    assert field().flatten().tolist() == [0, 1, 2, 3]
+    np.save(tmp_path / "weights.npy", np.ones((5, 7)))
+    with pytest.raises(ConfigError, match=r"weight\.init.*\(5, 7\), \(1, 1, 7, 5\) is wanted"):
+        start_field(Pixels((1, 1, 7, 5)), start, None, None, "weight")  # turned by a quarter
 
 
 def test_an_airy_pattern_is_that_of_bessels_function():

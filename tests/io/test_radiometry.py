@@ -201,7 +201,6 @@ def test_each_picture_of_a_folder_has_its_own_constants(tmp_path, monkeypatch):
 
 
 def test_what_the_user_says_of_the_scene_holds_for_all_frames(tmp_path, monkeypatch):
-    """The emissivity that was set while recording does not matter then."""
     (tmp_path / "a.seq").write_bytes(counted(monkeypatch) + counted(monkeypatch, SCENE={"emissivity": 0.6}))
     asked = Asked(emissivity=0.9)
     plain = read_frames(tmp_path / "a.seq", radiometry=Asked(scale=0.01)).frames

@@ -93,7 +93,6 @@ def test_a_burst_gives_a_sharp_scene_and_the_pattern():
 
 
 def test_what_lies_at_one_edge_does_not_come_out_at_the_other():
-    """The scene is larger than the frame: nothing wraps around."""
     scene = np.full((66, 80), 10.0)
     scene[:, :12] = 30.0  # light that falls in from the left
     psf = np.outer(*[signal.windows.gaussian(17, 2.0)] * 2)

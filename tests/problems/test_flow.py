@@ -70,7 +70,6 @@ def test_a_frame_that_is_left_out_has_no_flow(sim, quick):
 
 
 def test_optical_flow_goes_further_than_the_scenes_texture():
-    """Six pixels at the middle, over a texture of four."""
     generator = np.random.default_rng(0)
     texture = torch.from_numpy(generator.standard_normal((1, 1, 96, 96)).astype(np.float32))
     texture = torch.nn.functional.avg_pool2d(texture, 5, stride=1, padding=2)

@@ -97,7 +97,6 @@ def test_a_mosaic_of_bands_is_filled_in(noisy):
 
 
 def test_a_motion_of_each_pixel_is_read_from_a_file(noisy):
-    """A rolling shutter: each row is of its own time."""
     scene = picture("camera", (96, 96))
     rows, columns = np.mgrid[:64, :64] - 31.5
     shift = np.arange(64)[None, :, None] / 64 * np.array([0, 12, -12.0])[:, None, None]

@@ -84,7 +84,6 @@ def test_the_walker_is_as_large_and_as_warm_as_asked():
 
 
 def test_the_walker_moves_by_himself_at_his_speed():
-    """Against the scene, which a camera at rest sees still."""
     settings = dataclasses.replace(QUIET, walker=0.5, walker_speed=5.0, max_shift=0.0)
     sim = simulate(np.full((200, 220), 0.4), settings, seed=2)
     x = np.arange(56)
