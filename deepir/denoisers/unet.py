@@ -62,7 +62,9 @@ class UNet(nn.Module):
         strength = torch.ones_like(folded[:, :1]) * sigma
         # Zeros around it would be a level.
         shown = F.pad(torch.cat((folded, strength), 1), (1, 1, 1, 1), mode="replicate")
-        x = F.conv2d(shown, self._filters())
+        of_picture, of_strength = self.head.weight.split((FOLD**2, 1), dim=1)
+        # The filters of the picture are made independent of its level.
+        x = F.conv2d(shown, torch.cat((of_picture - of_picture.mean((1, 2, 3), keepdim=True), of_strength), 1))
         levels = [x]
         for before, down in zip(self.before, self.down, strict=True):
             levels.append(before(x))
@@ -79,11 +81,6 @@ class UNet(nn.Module):
         padded = F.pad(picture, (PADDING, right, PADDING, bottom), mode="replicate")
         out: Tensor = self(padded, sigma)
         return out[..., PADDING : PADDING + height, PADDING : PADDING + width]
-
-    def _filters(self) -> Tensor:
-        """Filters of the first layer, made independent of the level of the image."""
-        of_picture, of_strength = self.head.weight.split((FOLD**2, 1), dim=1)
-        return torch.cat((of_picture - of_picture.mean((1, 2, 3), keepdim=True), of_strength), 1)
 
 
 @register("denoiser", "cnn")

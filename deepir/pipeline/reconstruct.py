@@ -19,7 +19,6 @@ from deepir.effects.frame_gain import has_exposures
 from deepir.errors import ConfigError, DataError
 from deepir.estimation.prior_weight import pattern_cost_db
 from deepir.fields.sensor_maps import GaussianMap
-from deepir.io.inspection.samples import has_eight_bits
 from deepir.operators.motion_models import homographies
 from deepir.optim.objective import Checkpoint, hold_out
 from deepir.optim.solve import Progress, Solution, solve
@@ -185,7 +184,7 @@ def recording(burst: Burst, config: Config) -> Result:
     Raises:
         DataError: Few frames differ, or the camera stands still.
     """
-    frames = burst.frames.astype(np.uint8) if has_eight_bits(burst.frames) else burst.frames
+    frames = burst.frames
     if (lost := ~burst.valid & ~burst.bad_pixels).any():
         frames = np.ma.masked_array(frames, lost)
     corrected = CorrectedRecording.of(lambda: iter(frames))

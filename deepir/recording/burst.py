@@ -50,6 +50,7 @@ LEVEL_VARIANCES = 10.0 ** np.arange(-5, 3)
 #: Of the error of the motion, that all frames have in common: relative to the motion, the share of the scene that stays
 #: in the offset.
 COMMON_SHARE = 0.15
+CONTRAST_ERROR = 0.01  # of a frame's gain under a gain control, as its finest detail tells it
 STEEP = 0.9  # quantile of the scene's slope, from which samples tell the error of the motion
 MIN_MOTION = 0.1  # px, standard deviation of the motion along an axis, from which it tells what varies along it
 CANDIDATES = 48  # frames that are registered to a reference, at most
@@ -73,6 +74,21 @@ class CameraAtRestError(DataError):
     """The camera stands still."""
 
 
+@dataclass(frozen=True)
+class FramePrior:
+    """Of what frames have of their own, beside their motion.
+
+    Attributes:
+        level_variance: of a step of the level from frame to frame.
+        gains: of the frames, (n,).
+        gain_variance: of these gains; zero: they are known.
+    """
+
+    level_variance: float
+    gains: Array
+    gain_variance: float = 0.0
+
+
 class Burst:
     """Frames of one scene.
 
@@ -82,29 +98,24 @@ class Burst:
         motion: (n, 3, 3), to the reference frame.
         reference: its number.
         curvature: of the motion, see `deepir.recording.alignment`.
-        gains_differ: whether an automatic gain control may change the frames' gains.
+        contrasts: (n,), gains of the frames, as their finest detail tells them.
     """
 
     independent = True  # of other bursts
 
     def __init__(
-        self,
-        frames: Array,
-        usable: Array,
-        motion: Array,
-        reference: int,
-        *,
-        curvature: float = 0.0,
-        gains_differ: bool = False,
+        self, frames: Array, usable: Array, motion: Array, reference: int, contrasts: Array, *, curvature: float = 0.0
     ) -> None:
         self.frames, self.usable, self.reference = frames, usable.astype(np.float32), reference
         self.curvature = curvature
-        self.gains_differ = gains_differ
+        self.contrasts = contrasts
+        self.gains_differ = True  # until the frames say no
         self.canvas = Canvas(motion, (frames.shape[1], frames.shape[2]))
-        self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
+        self.levels, self.gains = np.zeros(len(frames)), contrasts
         self.weights, self.spread_weights = self.usable, self.canvas.spread_weights(self.usable)
-        self.noise, self.level_variance, self.inflation, self.motion_error = 1.0, 0.0, 1.0, 0.0
-        self.level_variances: Sequence[float] = ()
+        self.noise, self.inflation, self.motion_error = 1.0, 1.0, 0.0
+        self.frame_prior = FramePrior(0.0, np.ones(len(frames)))
+        self.frame_priors = [self.frame_prior]
         self.common_error = np.zeros(self.canvas.size)
 
     def enlarged(self, frames: Array, usable: Array, factor: int) -> Burst:
@@ -112,8 +123,8 @@ class Burst:
         down, across = ((factor * (side // factor) - side) / 2 for side in frames.shape[1:])
         scale = np.array([[factor, 0, across], [0, factor, down], [0, 0, 1.0]])
         motion = scale @ self.canvas.motion @ np.linalg.inv(scale)
-        whole = Burst(frames, usable, motion, self.reference, curvature=self.curvature, gains_differ=self.gains_differ)
-        whole.levels, whole.gains = self.levels, self.gains
+        whole = Burst(frames, usable, motion, self.reference, self.gains, curvature=self.curvature)
+        whole.levels = self.levels
         return whole
 
     def corrected(self, offset: Array, gain: Array) -> Array:
@@ -146,9 +157,10 @@ class Burst:
         if robust:
             weights = weights / (1 + smoothed(rest**2, WEIGHT_SIGMA) / (OUTLIER_SIGMAS**2 * variance))
         self.weights = weights.astype(np.float32)
-        # A gain control sets the levels too.
-        free = LEVEL_VARIANCES[-1:] if self.gains_differ else LEVEL_VARIANCES
-        self.level_variances = (free * self.noise**2).tolist()
+        levels = LEVEL_VARIANCES * self.noise**2
+        self.frame_priors = [FramePrior(each, np.ones_like(self.gains)) for each in levels]
+        if self.gains_differ:  # a gain control sets the levels too
+            self.frame_priors.append(FramePrior(levels[-1], self.contrasts, CONTRAST_ERROR**2))
         self.phase_change = phase_change(self.canvas.motion, self.canvas.size)
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
@@ -188,12 +200,7 @@ class Burst:
         """Of the low-order part."""
         spread = self.canvas.spread(self.corrected(offset, gain))
         return low_order_equations(
-            spread,
-            self.spread_weights,
-            functools.partial(self._places, modes.block),
-            modes,
-            offset if self.gains_differ else None,
-            with_motion=True,
+            spread, self.spread_weights, functools.partial(self._places, modes.block), modes, offset, with_motion=True
         )
 
     def _scene(self, frames: Array) -> Array:
@@ -287,7 +294,7 @@ class Bursts:
         return np.concatenate(self.frames)
 
 
-def find_burst(frames: Array, usable: Array, around: int, start: Array, *, gains_differ: bool) -> Bursts | None:
+def find_burst(frames: Array, usable: Array, around: int, start: Array, contrasts: Array) -> Bursts | None:
     """Frames that show the scene of a reference, as far apart as they are; None where too few do.
 
     Args:
@@ -295,31 +302,32 @@ def find_burst(frames: Array, usable: Array, around: int, start: Array, *, gains
         usable: same shape, bool.
         around: number of the reference.
         start: (h, w), a pattern that is taken off before frames are compared.
-        gains_differ: whether an automatic gain control may change the frames' gains.
+        contrasts: (N,), gains of the frames, as their finest detail tells them.
 
     Raises:
         CameraAtRestError: Most frames show the same at the same place.
     """
-    first = _frames_alike(frames, around, start.astype(np.float32))
+    even = _evened(frames, contrasts)
+    first = _frames_alike(even, around, start.astype(np.float32))
     if first is None:
         return None
     numbers, chosen, _ = first
-    pattern = gradient_consensus(frames[numbers[chosen]], usable[numbers[chosen]])
-    numbers, chosen, links = _frames_alike(frames, around, pattern) or first
+    pattern = gradient_consensus(even[numbers[chosen]], usable[numbers[chosen]])
+    numbers, chosen, links = _frames_alike(even, around, pattern) or first
     kept, half = numbers[chosen], max(frames.shape[1:]) / 2
     reference = int(np.searchsorted(kept, around))
     few = np.unique(np.append(np.arange(0, len(kept), -(-len(kept) // TRIAL_FRAMES)), reference))
-    known, detail = usable[kept[few]].astype(np.float32), frames[kept[few]] - pattern
+    known, detail = usable[kept[few]].astype(np.float32), even[kept[few]] - pattern
     place = int(np.searchsorted(few, reference))
     trials = [_misfit(detail, known, links.motion(each, half)[chosen][few], place, each) for each in CURVATURES]
     curvature = CURVATURES[int(np.argmin(trials))]
     motion = links.motion(curvature, half)[chosen]
-    burst = Burst(frames[kept], usable[kept], motion, reference, curvature=curvature, gains_differ=gains_differ)
+    burst = Burst(frames[kept], usable[kept], motion, reference, contrasts[kept], curvature=curvature)
     return Bursts([burst], [kept])
 
 
 def short_bursts(
-    frames: Array, usable: Array, stretches: Sequence[Array], start: Array, *, gains_differ: bool
+    frames: Array, usable: Array, stretches: Sequence[Array], start: Array, contrasts: Array
 ) -> Bursts | None:
     """Frames of short stretches of a recording, within which near and far things move nearly alike; None of one.
 
@@ -327,14 +335,14 @@ def short_bursts(
         frames, usable: (N, h, w), float32 and bool.
         stretches: numbers of the frames of each.
         start: (h, w), a pattern that is taken off before frames are compared.
-        gains_differ: whether an automatic gain control may change the frames' gains.
+        contrasts: (N,), gains of the frames, as their finest detail tells them.
     """
-    half = max(frames.shape[1:]) / 2
+    half, even = max(frames.shape[1:]) / 2, _evened(frames, contrasts)
 
     def burst(stretch: Array) -> tuple[Burst, Array] | None:
         middle = len(stretch) // 2
         try:
-            found = _frames_alike(frames[stretch], middle, start.astype(np.float32))
+            found = _frames_alike(even[stretch], middle, start.astype(np.float32))
         except CameraAtRestError:
             return None
         if found is None:
@@ -342,10 +350,14 @@ def short_bursts(
         numbers, chosen, links = found
         reference, motion = int(np.searchsorted(numbers[chosen], middle)), links.motion(0.0, half)[chosen]
         numbers = stretch[numbers[chosen]]
-        return Burst(frames[numbers], usable[numbers], motion, reference, gains_differ=gains_differ), numbers
+        return Burst(frames[numbers], usable[numbers], motion, reference, contrasts[numbers]), numbers
 
     found = [each for each in parallel_map(burst, stretches) if each is not None]
     return Bursts(*map(list, zip(*found, strict=True))) if len(found) > 1 else None
+
+
+def _evened(frames: Array, contrasts: Array) -> Array:
+    return np.asarray(frames / contrasts.astype(np.float32)[:, None, None])
 
 
 def changes(frames: Array, pairs: Sequence[tuple[int, int]], pattern: Array) -> Array:

@@ -14,6 +14,7 @@ from scipy import ndimage
 from deepir.arrays import Array
 from deepir.arrays.samples import MAD_TO_SIGMA, block_sums, pattern_outliers
 from deepir.multiview.texture_flow import Displacement, displacements, enlarged, sampled
+from deepir.recording.burst import LEVEL_VARIANCES, FramePrior
 from deepir.recording.defective_pixels import noise_deviation, of_neighbours
 from deepir.recording.joint_solve import low_order_step
 from deepir.recording.keyframes import spread
@@ -36,7 +37,6 @@ DISPLACEMENT_ERROR = 0.4  # px, standard deviation
 #: px, side of blocks, and strength of the fine part in one over the median one's, up to which it is the sensor's.
 BLOCK, MAX_UNEVENNESS = 16, 1.2
 MIN_KNOWN = 0.05  # share of a frame whose displacement is known, so that the frame is used
-LEVEL_STEP = 20.0  # standard deviation of the levels' steps, in sigmas of the noise
 
 
 class DisplacedFrames:
@@ -48,13 +48,14 @@ class DisplacedFrames:
         noise: standard deviation of a sample.
     """
 
-    gains_differ = False
     independent = False  # of other references, whose frames are partly the same
 
     def __init__(self, frames: Array, found: Sequence[Displacement], noise: float) -> None:
-        self.noise, self.level_variance, self.inflation = noise, (LEVEL_STEP * noise) ** 2, 1.0
-        self.level_variances: Sequence[float] = (self.level_variance,)
+        self.noise, self.inflation = noise, 1.0
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
+        self.gains_differ = False
+        self.frame_prior = FramePrior(LEVEL_VARIANCES[-1] * noise**2, self.gains)
+        self.frame_priors = [self.frame_prior]
         self.common_error = np.zeros(frames.shape[1:])
         rows, columns = np.indices(frames.shape[1:], float)
         self._at = [(rows, columns), *((each.y, each.x) for each in found)]

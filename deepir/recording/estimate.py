@@ -191,38 +191,33 @@ def _of_registered(
     samples: _Samples, keyframes: Keyframes, former: CorrectionMaps | None, jumps: Sequence[int]
 ) -> SensorEstimate | None:
     """The sensor by frames that register; None where too few do, or do not fit."""
-    frames, usable, gains_differ = samples.filled, samples.known, keyframes.eight_bits
-    size, contrasts = frames.shape[1:], np.ones((len(frames), 1, 1), np.float32)
-    if gains_differ:
-        # Relative gains, by the finest detail, which is mostly the sensor's.
-        detail = np.log(parallel_map(lambda frame: noise_deviation(frame[None]), list(frames)))
-        contrasts[:, 0, 0] = np.exp(detail - detail.mean())
+    frames, usable, size = samples.filled, samples.known, samples.frames.shape[1:]
+    detail = np.array(parallel_map(_finest_detail, list(frames)))
+    contrasts = np.where(detail > 0, detail / (np.median(detail) or 1.0), 1.0)
     factor = coarsening(size)
     small, known = _averaged(frames, usable, factor)
-    small = small / contrasts
     start = _averaged(samples.pattern[None], ~samples.bad[None], factor)[0][0]
-    best = _solved(find_burst(small, known, len(frames) // 2, start, gains_differ=gains_differ), small, known)
+    best = _solved(find_burst(small, known, len(frames) // 2, start, contrasts))
     if best is None or not _holds(*best, small.mean(0)):
         turns = best is not None and best[1].registers
-        best = _solved(short_bursts(small, known, keyframes.stretches, start, gains_differ=gains_differ), small, known)
+        best = _solved(short_bursts(small, known, keyframes.stretches, start, contrasts))
         if best is None or not best[1].is_determined:
             return _fine_offset(samples, fine_part(*samples.halves), former) if turns else None
     found, solution = best
     numbers, bursts = found.numbers, found.bursts
     if solution.motion_error > MOTION_ERRORS[-1]:  # one who walks by may pass for the scene, that for the pattern
         references = [(own, own[burst.reference]) for burst, own in zip(bursts, found.frames, strict=True)]
-        _demand_motion(small, solution.offset, [(k, one) for own, one in references for k in own if k != one])
+        even = small / contrasts.astype(np.float32)[:, None, None]
+        _demand_motion(even, solution.offset, [(k, one) for own, one in references for k in own if k != one])
     last_change = solution.last_change
     moving = [burst.moving_share(np.subtract(*burst.compared(solution.offset, solution.gain))) for burst in bursts]
     if factor > 1:
-        whole = [(frames[k] / contrasts[k], usable[k]) for k in found.frames]
-        bursts = [burst.enlarged(*each, factor) for burst, each in zip(bursts, whole, strict=True)]
+        bursts = [burst.enlarged(frames[k], usable[k], factor) for burst, k in zip(bursts, found.frames, strict=True)]
         mean, variance = (enlarged(each, size, factor) for each in solution.low_order)
-        start = gradient_consensus(np.concatenate([burst.frames for burst in bursts]), usable[numbers])
-        solution = solve_sensor(bursts, start, (mean, variance))
+        solution = solve_sensor(bursts, (mean, variance))
     expected = np.concatenate([burst.compared(solution.offset, solution.gain)[1] for burst in bursts])
     for burst, k in zip(bursts, found.frames, strict=True):
-        burst.frames = samples.frames[k] / contrasts[k]  # with what bad pixels show
+        burst.frames = samples.frames[k]  # with what bad pixels show
     shown = np.concatenate([burst.corrected(solution.offset, solution.gain) for burst in bursts])
     shown = np.where(samples.usable[numbers], shown, expected)
     places, gains = keyframes.numbers[numbers], np.concatenate([burst.gains for burst in bursts])
@@ -234,15 +229,19 @@ def _of_registered(
         messages=tuple(
             _messages(np.any([burst.tells for burst in bursts], axis=0), float(np.mean(moving)), last_change)
         ),
-        contrasts=(places, gains * contrasts[numbers, 0, 0]) if gains_differ else None,
+        contrasts=(places, gains) if found.bursts[0].gains_differ else None,
         jumps=tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
     )
 
 
-def _solved(found: Bursts | None, frames: Array, usable: Array) -> tuple[Bursts, SensorSolution] | None:
-    if found is None:
-        return None
-    return found, solve_sensor(found.bursts, gradient_consensus(frames[found.numbers], usable[found.numbers]))
+def _finest_detail(frame: Array) -> float:
+    """Mean size of the finest detail of a frame (h, w), edges clipped: it is mostly the sensor's."""
+    size = np.abs(np.diff(np.diff(frame, axis=0), axis=1))
+    return float(np.minimum(size, 2 * size.mean()).mean())
+
+
+def _solved(found: Bursts | None) -> tuple[Bursts, SensorSolution] | None:
+    return None if found is None else (found, solve_sensor(found.bursts))
 
 
 def _holds(found: Bursts, solution: SensorSolution, mean: Array) -> bool:

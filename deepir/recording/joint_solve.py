@@ -20,6 +20,7 @@ from scipy import linalg
 from deepir.arrays import Array
 from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.kernels.compile import parallel_map
+from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.burst import Burst
 from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
 
@@ -38,7 +39,7 @@ INTERPOLATION_NOISE = 0.05
 STEPS = 3  # of conjugate gradients in a round
 UPDATES = 4  # of the strengths in a round
 SHIFT_ERROR = 0.05  # px, standard deviation of the motion once it is refined
-GAIN_SPREAD = 0.01  # of the gains of an automatic gain control's frames, to start from
+MOTION, GAIN = np.s_[1:9], np.s_[9:]  # of the unknowns of a frame, if they are any; its level is the first
 #: px, error of the motion, and variance of the misfit in that of the samples, up to which frames register but for near
 #: things: walks of stretches 0.09 to 0.25, pans and flights up to 0.28 and 34, drives 0.3 to 1.6 or 43 and more.
 MAX_MOTION_ERROR, MAX_MISFIT = 0.3, 40.0
@@ -95,16 +96,17 @@ class SensorSolution:
         return cls(offset, np.ones_like(offset), None, low_order, np.inf, np.inf, np.inf, np.nan)
 
 
-def solve_sensor(bursts: Sequence[Burst], start: Array, low_order: tuple[Array, Array] | None = None) -> SensorSolution:
+def solve_sensor(bursts: Sequence[Burst], low_order: tuple[Array, Array] | None = None) -> SensorSolution:
     """Estimate offset and gain of a sensor.
 
     Args:
         bursts: each of one scene; their motions, levels and gains are refined in place.
-        start: (h, w), an offset whose fine part is right; its low-order part is not used.
         low_order: part of long periods, and its variance, (h, w) each, found already; None: they are estimated.
     """
-    size = start.shape
-    modes, start = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True), start.astype(float)
+    frames = [burst.frames / burst.gains.astype(np.float32)[:, None, None] for burst in bursts]
+    start = gradient_consensus(np.concatenate(frames), np.concatenate([burst.usable > 0 for burst in bursts]))
+    size, start = start.shape, start.astype(float)
+    modes = LowOrderModes(size, LOW_ORDER_RADIUS, slopes=True)
     prior = PatternPrior(dct(start))
     offset = start - modes.synthesise(modes.analyse(start)) + (low_order[0] if low_order else 0.0)
     gain, extrapolated = np.ones(size), np.zeros(size)
@@ -176,19 +178,25 @@ def low_order_step(
     systems = parallel_map(methodcaller("equations", modes, offset, gain), bursts)
     before = modes.analyse(offset)
     for burst in bursts:
-        burst.inflation, burst.level_variance = 1.0, max(burst.level_variances)
+        burst.inflation, burst.frame_prior = 1.0, burst.frame_priors[-1]
     free = _fit(bursts, systems, prior, modes, before)  # the misfit that is left with free levels
     for burst, system, own in zip(bursts, systems, free.reduced, strict=True):
         burst.inflation = system.inflation(np.concatenate([free.change, own.of(free.change)]))
 
-    def set_level_variance(burst: Burst | DisplacedFrames) -> None:
-        system, evidence = systems[bursts.index(burst)], []
-        for variance in burst.level_variances:
-            burst.level_variance = variance
-            evidence.append(_fit([burst], [system], prior, modes, before).evidence)
-        burst.level_variance = burst.level_variances[int(np.argmax(evidence))]
+    def evidence(burst: Burst | DisplacedFrames) -> list[float]:
+        system, found = [systems[bursts.index(burst)]], []
+        for each in burst.frame_priors:
+            burst.frame_prior = each
+            found.append(_fit([burst], system, prior, modes, before).evidence)
+        return found
 
-    parallel_map(set_level_variance, [burst for burst in bursts if len(burst.level_variances) > 1])
+    if len(bursts[0].frame_priors) > 1:
+        found = np.array(parallel_map(evidence, bursts))
+        differ = bursts[0].gains_differ and found[:, -1].sum() > found[:, -2].sum()  # levels being free
+        for burst, each in zip(bursts, found, strict=True):
+            levels = each[:-1] if burst.gains_differ else each
+            burst.frame_prior = burst.frame_priors[-1 if differ else int(np.argmax(levels))]
+            burst.gains_differ = bool(differ)
     best = _fit(bursts, systems, prior, modes, before)
     if len(bursts) > 1 and all(burst.independent for burst in bursts):
         disagreement = _disagreement(best)
@@ -198,9 +206,8 @@ def low_order_step(
     for burst, system, own in zip(bursts, systems, best.reduced, strict=True):
         each = own.of(best.change).reshape(-1, system.per_frame)
         burst.levels = burst.levels + each[:, 0]
-        if burst.gains_differ:
-            burst.gains = burst.gains * (1 + each[:, -1])
-            burst.gains = burst.gains / np.exp(np.log(burst.gains).mean())
+        gains = burst.gains * (1 + each[:, GAIN].sum(1))
+        burst.gains = gains * np.exp(np.log(burst.frame_prior.gains / gains).mean())
     prior.variance[modes.low] = best.variance[: int(modes.low.sum())]
     return modes.synthesise(best.change), best.covariance
 
@@ -272,8 +279,10 @@ def _nuisance(burst: Burst | DisplacedFrames, system: NormalEquations, modes: Lo
     count, common_error = modes.count, modes.variances(burst.common_error)
     matrix, score = system.matrix / burst.inflation, system.score / burst.inflation
     prior = _frame_prior(burst, system.per_frame)
-    known = np.zeros(len(prior))
-    known[:: system.per_frame] = burst.levels
+    of_frames = np.zeros((len(burst.levels), system.per_frame))
+    of_frames[:, 0] = burst.levels
+    of_frames[:, GAIN] = (1 - burst.frame_prior.gains / burst.gains)[:, None]
+    known = of_frames.ravel()
     factor = linalg.cho_factor(matrix[count:, count:] + prior)
     cross, rest = matrix[count:, :count], score[count:] - prior @ known
     free, tied = linalg.cho_solve(factor, rest), linalg.cho_solve(factor, cross)
@@ -293,17 +302,16 @@ def _nuisance(burst: Burst | DisplacedFrames, system: NormalEquations, modes: Lo
 
 
 def _frame_prior(burst: Burst | DisplacedFrames, per_frame: int) -> Array:
-    """Inverse covariance of the frames' unknowns: levels drift, motions are known, gains are near one."""
-    count = len(burst.levels)
+    """Inverse covariance of the frames' unknowns: levels drift, motions are known."""
+    count, level_variance = len(burst.levels), burst.frame_prior.level_variance
     steps = np.diff(np.eye(count), axis=0)
     diagonal = np.zeros(count * per_frame)
     each = diagonal.reshape(count, per_frame)
-    each[:, 0] = 1 / (100 * burst.noise**2 + 1e4 * burst.level_variance)
-    each[:, 1:9] = 1 / SHIFT_ERROR**2
-    if burst.gains_differ:
-        each[:, -1] = 1 / GAIN_SPREAD**2
+    each[:, 0] = 1 / (100 * burst.noise**2 + 1e4 * level_variance)
+    each[:, MOTION] = 1 / SHIFT_ERROR**2
+    each[:, GAIN] = 1 / max(burst.frame_prior.gain_variance, float(np.finfo(np.float32).eps))
     prior = np.diag(diagonal)
-    prior[::per_frame, ::per_frame] += steps.T @ steps / burst.level_variance
+    prior[::per_frame, ::per_frame] += steps.T @ steps / level_variance
     return prior
 
 

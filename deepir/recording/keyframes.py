@@ -46,21 +46,19 @@ class Keyframes:
         numbers: of the frames in the recording, (N,), increasing.
         spacings: frames to the next that shows the same things well displaced, of each, (N,).
         length: frames of the recording.
-        eight_bits: the frames have 8 bits, as after an automatic gain control.
     """
 
     frames: Array
     numbers: Array
     spacings: Array
     length: int
-    eight_bits: bool
 
     @classmethod
     def of_groups(cls, groups: Sequence[Sequence[Chosen]], length: int) -> Keyframes:
         """Those of groups, frames not copied yet; `length`: frames of the recording."""
         parts: Any = zip(*chain.from_iterable(groups), strict=True)
         numbers, frames, spacings = parts
-        return cls(frames, np.array(numbers), np.array(spacings), length, frames[0].dtype.itemsize == 1)
+        return cls(frames, np.array(numbers), np.array(spacings), length)
 
     def copied(self) -> Keyframes:
         """With a copy of the frames, float32; NaN where a sample is masked."""

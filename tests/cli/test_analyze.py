@@ -34,7 +34,7 @@ def test_a_burst_that_suffices(deepir, bursts):
     assert status == 0
     assert "move the camera between frames by more than 3 px in x and 3 px in y" in out
     assert "this burst suffices" in out
-    with Image.open("runs/both-analysis.png") as picture:
+    with Image.open("both_analysis.png") as picture:
         assert picture.width > 600
 
 
@@ -62,7 +62,7 @@ def test_a_flat_stack_says_for_how_long_the_pattern_holds(deepir, bursts):
     assert "columns 4" in out or "columns 5" in out
     assert "the pattern is stable for longer than the 6 frames over which it was measured" in out
     assert "this burst" not in out
-    assert "than the 3 frames" in deepir("analyze", "flat.npy", "data.frames=6", "--flat")[1]
+    assert "than the 3 frames" in deepir("analyze", "flat.npy", "data.frames=6", "--flat", "--overwrite")[1]
 
 
 def stored(name, *, scene, motion):
@@ -74,7 +74,6 @@ def stored(name, *, scene, motion):
 
 
 def test_runs_in_which_nothing_moves_before_the_pattern_are_not_judged_by_their_motion(deepir, folder):
-    """One frame, or a scene for each."""
     stored("one", scene=np.ones((64, 80)), motion=np.full((1, 3, 3), np.nan))
     stored("many", scene=np.ones((4, 64, 80)), motion=np.tile(np.eye(3), (4, 1, 1)))
     for name in ("one", "many"):

@@ -439,7 +439,6 @@ def test_a_pipe_does_not_block(tmp_path):
     ],
 )
 def test_a_file_that_is_cut_while_it_is_read_is_an_error(tmp_path, name, write):
-    """Neither a signal, as of a memory map, nor zeros."""
     frames = np.random.default_rng(0).integers(1, 2**14, (40, 128, 160)).astype(np.uint16)
     write(tmp_path / name, frames)
     stream = recordings.stream_frames(tmp_path / name, raw=Raw(width=160, height=128) if name == "a.raw" else None)

@@ -135,7 +135,6 @@ def test_the_scene_is_finer_and_better_than_what_interpolation_gives(sim):
 
 
 def test_pixels_twice_as_high_as_wide_show_a_scene_of_square_ones():
-    """Each row of the detector's is two of another camera's."""
     sim = camera(factor=1, gain_column=0.0)
     frames = Downsample(factor=(2, 1))(torch.from_numpy(sim.frames)[:, None])[:, 0].numpy()
     result, psnr = compared(frames, [2, 1], sim.truth.scene)
@@ -162,7 +161,6 @@ def test_interpolated_pictures_of_a_ramp_are_the_ramp():
 
 
 def test_frames_of_eight_bits_are_as_good_as_their_rounding(sim):
-    """Their contrasts, which might be an automatic gain's, are found to be all alike."""
     low, high = sim.frames.min(), sim.frames.max()
     bytes8 = np.round(30 + 190 * (sim.frames - low) / (high - low)).astype(np.uint8)
     found = [

@@ -173,6 +173,13 @@ def test_a_camera_among_near_things_leaves_less_than_raw_frames_have(camera, see
     assert residual_pattern(correct(film.frames).frames, film) < most * residual_pattern(film.frames, film)
 
 
+def test_frames_that_are_stretched_one_by_one_show_one_pattern(walk):
+    frames = walk.frames[::2].astype(np.float32)
+    low, high = np.quantile(frames, (0.01, 0.99), axis=(1, 2), keepdims=True)
+    found = correct(np.clip((frames - low) / (high - low), 0, 1)).estimate.offset
+    assert alike(found, walk.fine + walk.slow + 450 * (walk.gain - 1), ~walk.bad) > 0.94  # 0.66 of equal gains
+
+
 def test_one_frame_is_refused(walk):
     with pytest.raises(DataError, match="frames"):
         correct(walk.frames[:1])
@@ -201,10 +208,10 @@ def test_the_drift_of_levels_is_found_whatever_offset_is_known_so_far():
     motion[:, :2, 2] = shifts[:, ::-1]
     modes = LowOrderModes(size, 16.0, slopes=True)
     for start in (fine, fine + np.linspace(-20, 20, 48)[:, None]):
-        burst = Burst(frames.astype(np.float32), np.ones(frames.shape, bool), motion, 0)
+        burst = Burst(frames.astype(np.float32), np.ones(frames.shape, bool), motion, 0, np.ones(16))
         burst.weigh(start, np.ones(size), 0.1, robust=False)
         low_order_step([burst], modes, PatternPrior(dct(fine)), start, np.ones(size))
-        assert 9 / 10 < burst.level_variance < 9 * 10  # decades are tried
+        assert 9 / 10 < burst.frame_prior.level_variance < 9 * 10  # decades are tried
 
 
 METHOD = "method=recording"

@@ -93,7 +93,6 @@ def test_the_walker_moves_by_himself_at_his_speed():
 
 
 def test_the_camera_sees_the_walker_from_where_it_stands():
-    """A camera that moves by whole pixels sees a standing walker in the same place of the scene."""
     settings = dataclasses.replace(QUIET, walker=0.5, walker_speed=0.0, motion="shift")
     sim = simulate(np.full((200, 220), 0.4), settings, seed=2)
     y, x = np.mgrid[:48, :56]

@@ -30,7 +30,6 @@ def test_a_scene_has_smooth_regions_and_sharp_edges(picture):
 
 
 def test_edges_are_anti_aliased(picture):
-    """Of the large steps, few are taken from one pixel to the next with nothing between."""
     second = np.abs(np.diff(picture, axis=1))
     strong = np.maximum(second[:, 1:], second[:, :-1]) > 0.2
     both = np.minimum(second[:, 1:], second[:, :-1])[strong] > 0.02
@@ -38,7 +37,6 @@ def test_edges_are_anti_aliased(picture):
 
 
 def test_no_shift_but_none_makes_a_scene_look_like_itself(picture):
-    """The autocorrelation has one clear peak: registration has one answer."""
     flat = picture - ndimage.gaussian_filter(picture, 20)
     correlation = np.fft.irfft2(np.abs(np.fft.rfft2(flat)) ** 2, SHAPE)
     correlation /= correlation[0, 0]

@@ -235,16 +235,10 @@ def is_contrast_stretched(frames: Array) -> bool:
     Args:
         frames: (N, h, w), NaN where unknown.
     """
-    if has_eight_bits(frames):
-        return True
-    ends = [frames == end for end in (np.nanmin(frames), np.nanmax(frames))]
-    return all((end & ~end.all(0)).any((1, 2)).all() for end in ends)
-
-
-def has_eight_bits(frames: Array) -> bool:
-    """True if frames (N, h, w), NaN where unknown, hold nothing but integers from 0 to 255."""
     low, high = np.nanmin(frames), np.nanmax(frames)
-    return bool(low >= 0 and 1 < high <= 255) and np.array_equal(frames, np.rint(frames), equal_nan=True)
+    if low >= 0 and 1 < high <= 255 and np.array_equal(frames, np.rint(frames), equal_nan=True):
+        return True
+    return all((end & ~end.all(0)).any((1, 2)).all() for end in (frames == low, frames == high))
 
 
 def clipped_samples(frames: Array) -> Array:

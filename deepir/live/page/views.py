@@ -177,7 +177,15 @@ class Session:
         self.recorder.add(frame.raw, frame.corrected)
         self.newest = frame
         while not self._commands.empty():
-            self._execute(self._commands.get())
+            match self._commands.get():
+                case "hold" | "learn" as command:
+                    self._corrector.hold = command == "hold"
+                case "reset":
+                    self._corrector.reset()
+                case "record":
+                    self.recorder.start()
+                case "stop":
+                    self.recorder.stop()
 
     def end(self, reason: str) -> None:
         """No more frames come."""
@@ -187,14 +195,3 @@ class Session:
     def submit(self, command: Command) -> None:
         """A command of a viewer; executed with the next frame."""
         self._commands.put(command)
-
-    def _execute(self, command: Command) -> None:
-        match command:
-            case "hold" | "learn":
-                self._corrector.hold = command == "hold"
-            case "reset":
-                self._corrector.reset()
-            case "record":
-                self.recorder.start()
-            case "stop":
-                self.recorder.stop()
