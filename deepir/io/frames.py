@@ -218,8 +218,9 @@ def _as_stored(data: schema.Data) -> Iterator[Array]:
         frames = iter(first)
     else:
         frames = _stream(recording)
-    in_order(first, data.swap_bytes, source, advice=_RAW_ORDER if data.raw else "")
-    frames = _unwrapped(map(swapped, frames) if data.swap_bytes else frames, source)
+    first = in_order(first, data.swap_bytes, source, advice=_RAW_ORDER if data.raw else "")
+    frames = map(swapped, frames) if data.swap_bytes else frames
+    frames = itertools.islice(_unwrapped(itertools.chain([first], frames), source), 1, None)  # first ones as the rest
     laws = recording.radiometries()
     if len(laws) > 1:
         frames = as_of_frame_0(frames, laws, data.radiometry, source)

@@ -193,9 +193,8 @@ def low_order_step(
     if len(bursts[0].frame_priors) > 1:
         found = np.array(parallel_map(evidence, bursts))
         # Where frames do not register, the evidence on levels is too sure: they are free.
-        registers = [burst.inflation <= MAX_INFLATION for burst in bursts]
-        equal = np.where(registers, found[:, :-1].max(1), found[:, -2]).sum()
-        differ = bursts[0].gains_differ and found[:, -1].sum() > equal
+        equal = np.where([burst.inflation <= MAX_INFLATION for burst in bursts], found[:, :-1].max(1), found[:, -2])
+        differ = bursts[0].gains_differ and found[:, -1].sum() > equal.sum()
         for burst, each in zip(bursts, found, strict=True):
             levels = each[:-1] if burst.gains_differ else each
             burst.frame_prior = burst.frame_priors[-1 if differ else int(np.argmax(levels))]
