@@ -123,9 +123,7 @@ class LBFGS(Optimiser):
             if not (value <= self.value + WOLFE_DECREASE * step * descent and math.isfinite(along)):
                 high = step
                 if best is None:
-                    # Where the parabola through the start, with its slope, and this point is least.
-                    bent = value - self.value - step * descent
-                    step *= min(0.5, max(0.1, -step * descent / (2 * bent))) if math.isfinite(bent) else 0.5
+                    step = _interpolate_step(step, value - self.value, descent)
                     continue
             else:
                 best = (x, value, slope)
@@ -153,3 +151,9 @@ class LBFGS(Optimiser):
 
 def _pair(s: Tensor, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return s, y, 1 / torch.dot(s, y)
+
+
+def _interpolate_step(step: float, rise: float, descent: float) -> float:
+    """Where the parabola through a start, with its slope, and a `rise` at `step` is least; a tenth to a half of it."""
+    bent = rise - step * descent
+    return step * min(0.5, max(0.1, -step * descent / (2 * bent))) if math.isfinite(bent) else step / 2

@@ -107,14 +107,12 @@ class Burst:
         self, frames: Array, usable: Array, motion: Array, reference: int, contrasts: Array, *, curvature: float = 0.0
     ) -> None:
         self.frames, self.usable, self.reference = frames, usable.astype(np.float32), reference
-        self.curvature = curvature
-        self.contrasts = contrasts
-        self.gains_differ = True  # until the frames say no
+        self.curvature, self.contrasts = curvature, contrasts
         self.canvas = Canvas(motion, (frames.shape[1], frames.shape[2]))
         self.levels, self.gains = np.zeros(len(frames)), contrasts
         self.weights, self.spread_weights = self.usable, self.canvas.spread_weights(self.usable)
         self.noise, self.inflation, self.motion_error = 1.0, 1.0, 0.0
-        self.frame_prior = FramePrior(0.0, np.ones(len(frames)))
+        self.frame_prior = FramePrior(0.0, contrasts, CONTRAST_ERROR**2)  # gains differ until the frames say no
         self.frame_priors = [self.frame_prior]
         self.common_error = np.zeros(self.canvas.size)
 
@@ -159,7 +157,7 @@ class Burst:
         self.weights = weights.astype(np.float32)
         levels = LEVEL_VARIANCES * self.noise**2
         self.frame_priors = [FramePrior(each, np.ones_like(self.gains)) for each in levels]
-        if self.gains_differ:  # a gain control sets the levels too
+        if self.frame_prior.gain_variance:  # a gain control sets the levels too
             self.frame_priors.append(FramePrior(levels[-1], self.contrasts, CONTRAST_ERROR**2))
         self.phase_change = phase_change(self.canvas.motion, self.canvas.size)
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px

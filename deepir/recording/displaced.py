@@ -53,7 +53,6 @@ class DisplacedFrames:
     def __init__(self, frames: Array, found: Sequence[Displacement], noise: float) -> None:
         self.noise, self.inflation = noise, 1.0
         self.levels, self.gains = np.zeros(len(frames)), np.ones(len(frames))
-        self.gains_differ = False
         self.frame_prior = FramePrior(LEVEL_VARIANCES[-1] * noise**2, self.gains)
         self.frame_priors = [self.frame_prior]
         self.common_error = np.zeros(frames.shape[1:])

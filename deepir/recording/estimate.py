@@ -229,7 +229,7 @@ def _of_registered(
         messages=tuple(
             _messages(np.any([burst.tells for burst in bursts], axis=0), float(np.mean(moving)), last_change)
         ),
-        contrasts=(places, gains) if found.bursts[0].gains_differ else None,
+        contrasts=(places, gains) if found.bursts[0].frame_prior.gain_variance else None,
         jumps=tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
     )
 

@@ -192,13 +192,12 @@ def low_order_step(
 
     if len(bursts[0].frame_priors) > 1:
         found = np.array(parallel_map(evidence, bursts))
-        # Where frames do not register, the evidence on levels is too sure: they are free.
-        equal = np.where([burst.inflation <= MAX_INFLATION for burst in bursts], found[:, :-1].max(1), found[:, -2])
-        differ = bursts[0].gains_differ and found[:, -1].sum() > equal.sum()
+        if bursts[0].frame_priors[-1].gain_variance:  # one answer for all bursts
+            # Where frames do not register, the evidence on levels is too sure: they are free.
+            equal = np.where([burst.inflation <= MAX_INFLATION for burst in bursts], found[:, :-1].max(1), found[:, -2])
+            found[:, np.s_[:-1] if found[:, -1].sum() > equal.sum() else -1] = -np.inf
         for burst, each in zip(bursts, found, strict=True):
-            levels = each[:-1] if burst.gains_differ else each
-            burst.frame_prior = burst.frame_priors[-1 if differ else int(np.argmax(levels))]
-            burst.gains_differ = bool(differ)
+            burst.frame_prior = burst.frame_priors[int(np.argmax(each))]
     best = _fit(bursts, systems, prior, modes, before)
     if len(bursts) > 1 and all(burst.independent for burst in bursts):
         disagreement = _disagreement(best)
