@@ -162,7 +162,8 @@ class Burst:
         self.phase_change = phase_change(self.canvas.motion, self.canvas.size)
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
-        power = group_power(dct(shown[self.reference].astype(float)), directional_groups(self.canvas.size))
+        self.scene_modes = dct(shown[self.reference].astype(float))
+        power = group_power(self.scene_modes, directional_groups(self.canvas.size))
         self.common_error = power * common**2 / self.phase_change
         least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
         self.tells = phase_change(_rigid(self.canvas.motion), self.canvas.size) > least
@@ -274,7 +275,8 @@ def _frames_alike(frames: Array, around: int, pattern: Array) -> tuple[Array, Ar
     chosen = _apart(motion, alike, reference, size)
     if len(chosen) >= MIN_FRAMES:
         return numbers, chosen, links
-    if alike.sum() >= max(MIN_FRAMES, len(numbers) / 2):
+    still = np.abs(motion[:, :2, 2]).max(1) < MIN_STEP  # alike or not: the pattern so far may hold most of the scene
+    if (alike | still).sum() >= max(MIN_FRAMES, len(numbers) / 2):
         raise CameraAtRestError(AT_REST)
     return None
 

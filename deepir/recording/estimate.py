@@ -40,10 +40,8 @@ SAMPLE_STRIDE = 4  # px, between samples that a median is taken of
 #: Long periods of the frames' mean without the offset, relative to those with it, from which the offset is the scenes':
 #: both would cancel by a correlation of -0.64. Hand-held and under gain control 0.15 to 1.08, small drives 1.5 to 3.
 MAX_CANCELLATION = 1.3
-#: Change of the part of long periods in the last round, relative to it: 0 to 0.04 in 42 hand-held recordings, of which
-#: at most 0.08 is left; 0.13 to 0.2 in six (0.18 to 0.72 left), 0.07 to 0.18 where a hand trembles (seeds 0 to 2).
-SETTLED = 0.05
-MIN_MOVING = 0.001  # share of the samples that show what moves by itself, from which it is said
+#: Share of the samples that show what moves by itself, and relative deviation of the low-order part, that are said.
+MIN_MOVING, UNCERTAIN = 0.001, 0.1
 MIN_CHANGE_SIGMAS = 2.2  # of `changes` between keyframes, below which nothing has moved
 MAX_CHANGE = 2.0  # of the mean residual at a jump, in its variances, up to which one pattern fits both sides
 #: How a camera moves along one axis alone, where its shading is not separated, and what to do.
@@ -209,7 +207,7 @@ def _of_registered(
         references = [(own, own[burst.reference]) for burst, own in zip(bursts, found.frames, strict=True)]
         even = small / contrasts.astype(np.float32)[:, None, None]
         _demand_motion(even, solution.offset, [(k, one) for own, one in references for k in own if k != one])
-    last_change = solution.last_change
+    uncertainty, tells = solution.uncertainty, np.any([burst.tells for burst in bursts], axis=0)
     moving = [burst.moving_share(np.subtract(*burst.compared(solution.offset, solution.gain))) for burst in bursts]
     if factor > 1:
         bursts = [burst.enlarged(frames[k], usable[k], factor) for burst, k in zip(bursts, found.frames, strict=True)]
@@ -226,9 +224,7 @@ def _of_registered(
         solution,
         "gain and offset",
         (shown, expected),
-        messages=tuple(
-            _messages(np.any([burst.tells for burst in bursts], axis=0), float(np.mean(moving)), last_change)
-        ),
+        messages=tuple(_messages(tells, float(np.mean(moving)), uncertainty)),
         contrasts=(places, gains) if found.bursts[0].frame_prior.gain_variance else None,
         jumps=tuple(each for each in jumps if _may_jump(shown - expected, places < each, solution.noise)),
     )
@@ -330,9 +326,9 @@ def _may_jump(rest: Array, before: Array, noise: float) -> bool:
     return bool(np.median(change**2) / CHI_SQUARED_MEDIAN > MAX_CHANGE * expected)
 
 
-def _messages(tells: Array, moving: float, last_change: float) -> Iterator[str]:
-    """What is said of a solve that has not settled, of modes (h, w) that are open, and of what moves."""
-    if last_change > SETTLED:
+def _messages(tells: Array, moving: float, uncertainty: float) -> Iterator[str]:
+    """What is said of an uncertain low-order part, of modes (h, w) that are open, and of what moves."""
+    if UNCERTAIN < uncertainty < np.inf:
         yield Message(
             "motion-small",
             "the camera moves by little, so that the shading of the fixed pattern and the scene are hardly told apart: "

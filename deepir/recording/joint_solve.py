@@ -5,6 +5,9 @@
 Each round refines the motion, solves the low-order part exactly (`modes`), and the rest of the offset by conjugate
 gradients, in which the scene is eliminated. The strengths of all parts are set by expectation maximisation. A part that
 the motion does not determine stays at its prior mean, zero.
+
+Small motions that are over-estimated by a factor fit almost as well, with a share of the scene in the offset. But scene
+and pattern are independent: each round takes off what they share, until the low-order part has settled.
 """
 
 from __future__ import annotations
@@ -22,18 +25,27 @@ from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.kernels.compile import parallel_map
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.burst import Burst
-from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
+from deepir.recording.modes import (
+    LowOrderModes,
+    NormalEquations,
+    PatternPrior,
+    dct,
+    directional_groups,
+    group_power,
+    idct,
+)
 
 if TYPE_CHECKING:
     from deepir.recording.displaced import DisplacedFrames
 
 
-ROUNDS, FIRST_GAIN_ROUND = 5, 3  # of alternating, the last alone in large frames; from which the gain is free
+ROUNDS = 12, 5  # of alternating, of one burst at most, and of stretches; in the last two the gain is free
+SETTLED = 0.02  # change of the low-order part in a round, relative to it, from which these begin
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
-#: px, standard deviation of the error of the motion in each round, in proportion to the scene's gradient. After the
-#: second, one burst that registers has at most 0.33, and a misfit of 24; those of 0.5, or 40, are given up.
-MOTION_ERRORS = (0.5, 0.25, 0.1, 0.1, 0.1)
-FREE_MOTION = (3, 3, 8, 8, 8)  # parameters of the motion in each round: a turning camera's, then a homography's
+#: px, standard deviation of the error of the motion in each round, the last ever after, in proportion to the scene's
+#: gradient. After the second, one burst that registers has at most 0.33, and a misfit of 24; 0.5, or 40, are given up.
+MOTION_ERRORS = (0.5, 0.25, 0.1)
+FREE_MOTION = (3, 3, 8)  # parameters of the motion in these rounds: a turning camera's, then a homography's
 #: Share of the noise of a sample that interpolation and uneven weights leave in a pattern that does not move.
 INTERPOLATION_NOISE = 0.05
 STEPS = 3  # of conjugate gradients in a round
@@ -65,8 +77,6 @@ class SensorSolution:
         motion_error: of the frames, px; inf where they do not register.
         inflation: variance of the misfit at the scale where it is largest, relative to the samples' noise.
         noise: of a sample, frames' units; NaN where it is not known.
-        last_change: of the part of long periods in the last round, relative to it: large where motion and pattern
-            hardly differ.
     """
 
     offset: Array
@@ -77,7 +87,6 @@ class SensorSolution:
     motion_error: float
     inflation: float
     noise: float
-    last_change: float = 0.0
 
     @property
     def registers(self) -> bool:
@@ -113,9 +122,12 @@ def solve_sensor(bursts: Sequence[Burst], low_order: tuple[Array, Array] | None 
     fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
-    for number in range(ROUNDS - 1 if low_order else 0, ROUNDS):
-        parallel_map(methodcaller("align", offset, gain, FREE_MOTION[number]), bursts)
-        parallel_map(methodcaller("weigh", offset, gain, MOTION_ERRORS[number], robust=number > 0), bursts)
+    last_stage, rounds = len(MOTION_ERRORS) - 1, 1 if low_order else ROUNDS[len(bursts) > 1]
+    gain_round = max(0, rounds - 2)
+    for number in range(rounds):
+        stage = last_stage if low_order else min(number, last_stage)
+        parallel_map(methodcaller("align", offset, gain, FREE_MOTION[stage]), bursts)
+        parallel_map(methodcaller("weigh", offset, gain, MOTION_ERRORS[stage], robust=stage > 0), bursts)
         told, found = np.any([burst.tells for burst in bursts], axis=0), dct(offset)
         prior.start = np.where(told, broad, broad[0, 0])
         of_sensor = np.minimum(1, broad / np.maximum(group_power(found, prior.groups), 1e-30))
@@ -123,22 +135,27 @@ def solve_sensor(bursts: Sequence[Burst], low_order: tuple[Array, Array] | None 
         if not low_order:
             step, covariance = low_order_step(bursts, modes, prior, offset, gain)
             offset = offset + step
+            if stage == last_stage and np.linalg.norm(step) < SETTLED * np.linalg.norm(modes.analyse(offset)):
+                gain_round = min(gain_round, number + 1)
         informations, shares = zip(*map(_information, bursts), strict=True)
         information = np.sum(informations, axis=0)
         trusted = [np.where(fine & burst.tells, each, 0.0) for burst, each in zip(bursts, shares, strict=True)]
         offset = _fine_steps(bursts, offset, gain, prior, information, trusted)
+        if len(bursts) == 1:
+            offset = _without_scene(bursts[0], offset, dct(offset) - found, prior, fine)
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         inflation, motion_error = np.mean([(burst.inflation, burst.motion_error) for burst in bursts], axis=0).tolist()
         loose = inflation > MAX_MISFIT or (inflation > MAX_INFLATION and motion_error > MOTION_ERRORS[0])
         if (number > 0 and loose) if len(bursts) == 1 else inflation > HOPELESS_MISFIT:
             return SensorSolution.of_offset(offset)
-        if number >= FIRST_GAIN_ROUND:
+        if number >= gain_round:
             offset, gain, extrapolated = _with_gain(bursts, offset, gain)
+        if number > gain_round:
+            break
     left = np.where(told, 0.0, broad + (dct(start) - dct(offset)) ** 2)  # what may be the scene's, or not
-    uncertainty, last_change = np.inf, 0.0
+    uncertainty = np.inf
     if not low_order:
-        last_change = float(np.linalg.norm(step)) / max(float(np.linalg.norm(modes.analyse(offset))), 1e-30)
         uncertainty = (
             float(np.trace(covariance) ** 0.5 / max(np.linalg.norm(modes.analyse(offset)), 1e-30))
             if told[modes.low].mean() > 0.5
@@ -157,7 +174,6 @@ def solve_sensor(bursts: Sequence[Burst], low_order: tuple[Array, Array] | None 
         motion_error,
         inflation,
         float(np.mean([burst.noise for burst in bursts])),
-        last_change,
     )
 
 
@@ -351,6 +367,21 @@ def _fine_steps(
     modes = dct(offset)
     rest = data(burst.corrected(offset, gain) for burst in bursts) - inverse * modes
     return np.asarray(idct(modes + _conjugate_gradient(normal, rest, precondition)))
+
+
+def _without_scene(burst: Burst, offset: Array, change: Array, prior: PatternPrior, fine: Array) -> Array:
+    """The offset (h, w), whose modes differ by `change` since the scene was found, less the scene in its `fine` modes.
+
+    Estimates of independent scene and pattern are correlated by a share of the scene in the offset, in proportion to
+    the scene's power, or of the pattern in the scene, to the pattern's. Modes that the motion shifts by much have none.
+    """
+    free, modes, scene = fine & burst.tells, dct(offset), burst.scene_modes - change
+    variance, stays = prior.variance[free], (1 - burst.phase_change)[free]
+    power = np.maximum(group_power(scene, directional_groups(scene.shape))[free], 1e-6 * variance)
+    ratio, product = np.sqrt(power / variance), (modes * scene)[free] / np.sqrt(power * variance)
+    share, _ = np.linalg.lstsq((stays * np.stack([ratio, 1 / ratio])).T, product)[0]
+    modes[free] -= share * stays * scene[free]
+    return idct(modes)
 
 
 def _conjugate_gradient(normal: Callable[[Array], Array], rest: Array, precondition: Array) -> Array:

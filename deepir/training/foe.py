@@ -100,7 +100,8 @@ class FieldsOfExperts(Training):
         shifts[0] = 0
         low, high = (math.log(each) for each in NOISE_RANGE)
         sigma = math.sqrt(12) * math.exp(self.rng.uniform(low, high))
-        cut = [self._frame(picture, times, *(int(each) for each in shift)) for shift in shifts]
+        starts, side = (shifts + times * SCENE_MARGIN).tolist(), times * FRAME_SIDE
+        cut = [F.avg_pool2d(picture[None, y : y + side, x : x + side], times)[0] for y, x in starts]
         frames = torch.stack(cut) / sigma
         noise = math.sqrt(count / 12) * torch.randn(frames.shape, generator=self.noise)
         y, x = torch.from_numpy(shifts / times).float().T
@@ -118,11 +119,6 @@ class FieldsOfExperts(Training):
         if self.rng.integers(2):
             piece = 1 - piece
         return torch.from_numpy(gaussian_filter(piece.numpy(), times * self.rng.uniform(*BLUR_RANGE))), times
-
-    @staticmethod
-    def _frame(picture: Tensor, times: int, y: int, x: int) -> Tensor:
-        y, x, side = y + times * SCENE_MARGIN, x + times * SCENE_MARGIN, times * FRAME_SIDE
-        return F.avg_pool2d(picture[None, y : y + side, x : x + side], times)[0]
 
     @torch.no_grad()
     def _weakly_held(self, bursts: Bursts) -> tuple[Tensor, Tensor]:

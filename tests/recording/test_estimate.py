@@ -90,11 +90,19 @@ def test_a_person_who_walks_through_is_noted(walk, corrected):
     assert [any("moves by itself" in each for each in some) for some in messages] == [False, True]
 
 
-def test_motion_too_small_to_tell_shading_and_scene_apart_is_noted(walk):
-    places, scene = np.cumsum(np.random.default_rng(4).normal(0, 0.3, (40, 2)), axis=0), 4 * (walk.scenes[0] - 8000)
+def trembling(walk, step=0.1, seed=6):
+    """A scene of high contrast; the camera moves by `step` px from frame to frame, at random."""
+    places, scene = np.cumsum(np.random.default_rng(seed).normal(0, step, (40, 2)), axis=0), 4 * walk.scenes[0] - 24000
     shown = np.stack([ndimage.shift(scene, place, mode="nearest") for place in places]) + walk.fine + walk.slow
-    frames = shown + 3 * np.random.default_rng(0).standard_normal(shown.shape)
-    assert any("moves by little" in each for each in correct(frames.astype(np.float32)).estimate.messages)
+    return shown + 3 * np.random.default_rng(0).standard_normal(shown.shape)
+
+
+@pytest.mark.parametrize(("step", "seed", "left", "is_said"), [(0.4, 6, 0.35, False), (0.2, 5, 0.5, True)])
+def test_a_trembling_camera_leaves_little_of_the_scene_in_the_offset(walk, step, seed, left, is_said):
+    found = correct(trembling(walk, step, seed).astype(np.float32)).estimate
+    error = ndimage.gaussian_filter(found.offset - walk.fine - walk.slow, 6)
+    assert error.std() < left * walk.slow.std()
+    assert any("moves by little" in each for each in found.messages) == is_said
 
 
 @pytest.mark.parametrize("way", ["sideways", pytest.param("tilts", marks=pytest.mark.slow)])
@@ -154,7 +162,9 @@ def one_walks_by(walk):
     return shown + 5 * np.random.default_rng(0).standard_normal(shown.shape)
 
 
-@pytest.mark.parametrize("recording", [at_rest, at_rest_under_changing_gains, at_rest_while_cars_pass, one_walks_by])
+@pytest.mark.parametrize(
+    "recording", [at_rest, at_rest_under_changing_gains, at_rest_while_cars_pass, one_walks_by, trembling]
+)
 def test_a_camera_at_rest_is_refused(walk, recording):
     with pytest.raises(DataError, match="stands still"):
         correct(recording(walk).round().astype(np.uint16))
