@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from deepir.recording.displaced import DisplacedFrames
 
 
-ROUNDS = 12, 5  # of alternating, of one burst at most, and of stretches; in the last two the gain is free
+ROUNDS = 8, 5  # of alternating, of one burst at most, and of stretches; in the last two the gain is free
 SETTLED = 0.02  # change of the low-order part in a round, relative to it, from which these begin
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, the last ever after, in proportion to the scene's
