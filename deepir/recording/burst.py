@@ -163,8 +163,8 @@ class Burst:
         frequency = np.pi * mode_radius(self.canvas.size) / max(self.canvas.size)  # radian / px
         common = COMMON_SHARE * self.motion_error * frequency
         self.scene_modes = dct(shown[self.reference].astype(float))
-        power = group_power(self.scene_modes, directional_groups(self.canvas.size))
-        self.common_error = power * common**2 / self.phase_change
+        self.scene_power = group_power(self.scene_modes, directional_groups(self.canvas.size))
+        self.common_error = self.scene_power * common**2 / self.phase_change
         least = 1 - np.exp(-((MIN_MOTION * frequency) ** 2))
         self.tells = phase_change(_rigid(self.canvas.motion), self.canvas.size) > least
         self.spread_weights = self.canvas.spread_weights(self.weights)

@@ -25,21 +25,13 @@ from deepir.arrays.samples import CHI_SQUARED_MEDIAN
 from deepir.kernels.compile import parallel_map
 from deepir.multiview.pattern_gradients import gradient_consensus
 from deepir.recording.burst import Burst
-from deepir.recording.modes import (
-    LowOrderModes,
-    NormalEquations,
-    PatternPrior,
-    dct,
-    directional_groups,
-    group_power,
-    idct,
-)
+from deepir.recording.modes import LowOrderModes, NormalEquations, PatternPrior, dct, group_power, idct
 
 if TYPE_CHECKING:
     from deepir.recording.displaced import DisplacedFrames
 
 
-ROUNDS = 8, 5  # of alternating, of one burst at most, and of stretches; in the last two the gain is free
+ROUNDS = 8  # of alternating, at most; in the last two the gain is free
 SETTLED = 0.02  # change of the low-order part in a round, relative to it, from which these begin
 LOW_ORDER_RADIUS = 16.0  # half periods over the longer side, below which modes are solved exactly
 #: px, standard deviation of the error of the motion in each round, the last ever after, in proportion to the scene's
@@ -122,7 +114,7 @@ def solve_sensor(bursts: Sequence[Burst], low_order: tuple[Array, Array] | None 
     fine = ~modes.low
     fine[0, 0] = False
     broad = prior.start
-    last_stage, rounds = len(MOTION_ERRORS) - 1, 1 if low_order else ROUNDS[len(bursts) > 1]
+    last_stage, rounds = len(MOTION_ERRORS) - 1, 1 if low_order else ROUNDS
     gain_round = max(0, rounds - 2)
     for number in range(rounds):
         stage = last_stage if low_order else min(number, last_stage)
@@ -142,7 +134,7 @@ def solve_sensor(bursts: Sequence[Burst], low_order: tuple[Array, Array] | None 
         trusted = [np.where(fine & burst.tells, each, 0.0) for burst, each in zip(bursts, shares, strict=True)]
         offset = _fine_steps(bursts, offset, gain, prior, information, trusted)
         if len(bursts) == 1:
-            offset = _without_scene(bursts[0], offset, dct(offset) - found, prior, fine)
+            offset = _without_scene(bursts[0], offset, found, prior, fine)
         posterior = 1 / (information + 1 / prior.variance)
         prior.variance[fine] = prior.strengths(dct(offset), posterior, fine)
         inflation, motion_error = np.mean([(burst.inflation, burst.motion_error) for burst in bursts], axis=0).tolist()
@@ -369,18 +361,20 @@ def _fine_steps(
     return np.asarray(idct(modes + _conjugate_gradient(normal, rest, precondition)))
 
 
-def _without_scene(burst: Burst, offset: Array, change: Array, prior: PatternPrior, fine: Array) -> Array:
-    """The offset (h, w), whose modes differ by `change` since the scene was found, less the scene in its `fine` modes.
+def _without_scene(burst: Burst, offset: Array, before: Array, prior: PatternPrior, fine: Array) -> Array:
+    """The offset (h, w) less the scene in its `fine` modes; `before`: its modes when the scene was found.
 
     Estimates of independent scene and pattern are correlated by a share of the scene in the offset, in proportion to
     the scene's power, or of the pattern in the scene, to the pattern's. Modes that the motion shifts by much have none.
     """
-    free, modes, scene = fine & burst.tells, dct(offset), burst.scene_modes - change
-    variance, stays = prior.variance[free], (1 - burst.phase_change)[free]
-    power = np.maximum(group_power(scene, directional_groups(scene.shape))[free], 1e-6 * variance)
-    ratio, product = np.sqrt(power / variance), (modes * scene)[free] / np.sqrt(power * variance)
+    free, modes = fine & burst.tells, dct(offset)
+    scene, stays, variance = (
+        each[free] for each in (burst.scene_modes + before - modes, 1 - burst.phase_change, prior.variance)
+    )
+    power = np.maximum(burst.scene_power[free], 1e-6 * variance)
+    ratio, product = np.sqrt(power / variance), modes[free] * scene / np.sqrt(power * variance)
     share, _ = np.linalg.lstsq((stays * np.stack([ratio, 1 / ratio])).T, product)[0]
-    modes[free] -= share * stays * scene[free]
+    modes[free] -= share * stays * scene
     return idct(modes)
 
 
